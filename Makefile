@@ -1,6 +1,6 @@
 # Thin names for scripts/ and cargo.
 
-.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda check-mpi check-rerun wheel dist docs
+.PHONY: help setup demo demo-retarget test doctor lint miri bench fuzz build-times check-cuda check-gpu check-mpi check-rerun wheel dist docs
 
 help:
 	@echo 'make setup       what this machine lacks: Python environment, ROS 2, messages, MuJoCo; writes env.sh'
@@ -17,6 +17,7 @@ help:
 	@echo 'make fuzz        crafted hostile files for every reader, an hour each (inputs that fail in out/fuzz/)'
 	@echo 'make build-times the crates that a first build spends its time on'
 	@echo 'make check-cuda  clippy and a build of the feature cuda, with a toolkit from Python wheels'
+	@echo 'make check-gpu   tests on an NVIDIA GPU: operations, network, a stream, training'
 	@echo 'make check-mpi   clippy, a build and tests of the feature mpi: training on several processes (installs Open MPI as root)'
 	@echo 'make check-rerun clippy, a build and tests of the feature rerun: files and data for the viewer Rerun'
 
@@ -55,6 +56,9 @@ dist:
 
 check-cuda:
 	@scripts/check-cuda
+
+check-gpu:
+	@scripts/check-gpu
 
 check-mpi:
 	@scripts/check-mpi

@@ -237,7 +237,7 @@ pub fn device(cuda: Option<usize>) -> anyhow::Result<candle_core::Device> {
         Some(_) if !cfg!(feature = "cuda") => {
             anyhow::bail!("--cuda needs the feature `cuda`: build with `cargo build --features cuda`")
         }
-        Some(index) => Ok(candle_core::Device::new_cuda(index)?),
+        Some(index) => Ok(egotac_kernels::gpu::open(index)?),
     }
 }
 

@@ -85,19 +85,15 @@ impl DecoderLayer {
 #[derive(Debug, Clone)]
 pub struct AdaLn {
     pub(super) linear: Linear,
-    d: usize,
 }
 
 impl AdaLn {
     fn new(d: usize, vb: VarBuilder) -> Result<Self> {
-        Ok(Self { linear: Linear::new(d, 2 * d, Scheme::Zero, vb.pp("linear"))?, d })
+        Ok(Self { linear: Linear::new(d, 2 * d, Scheme::Zero, vb.pp("linear"))? })
     }
 
     /// Normalises and modulates. `h`: `(B, K, d)`, `condition`: SiLU(z), `(B, d)`.
     fn forward(&self, h: &Tensor, condition: &Tensor) -> Result<Tensor> {
-        let modulation = self.linear.forward(condition)?.unsqueeze(1)?; // (B, 1, 2 d)
-        let gamma = (modulation.narrow(2, 0, self.d)? + 1.0)?;
-        let beta = modulation.narrow(2, self.d, self.d)?;
-        ops::layer_norm(h, None, EPS)?.broadcast_mul(&gamma)?.broadcast_add(&beta)
+        ops::modulated_norm(h, &self.linear.forward(condition)?, EPS)
     }
 }

@@ -37,6 +37,8 @@ pub mod pretrained;
 #[doc(hidden)]
 pub mod published;
 mod pytorch;
+#[cfg(feature = "cuda")]
+mod recorded;
 mod shapes;
 pub mod shipped;
 pub mod spread;
@@ -50,7 +52,7 @@ pub mod window;
 
 use std::sync::Arc;
 
-use candle_core::DType;
+use candle_core::{DType, Tensor};
 use candle_nn::VarBuilder;
 
 use crate::error::{Error, Result};
@@ -72,6 +74,9 @@ pub use view::View;
 pub struct EgoTac {
     config: Config,
     form: Form,
+    /// The stages of a stream, recorded on a GPU.
+    #[cfg(feature = "cuda")]
+    recorded: Option<Arc<recorded::Recorded>>,
 }
 
 /// Form of the network: trainable, as candle layers on any device, or compiled for inference on the CPU.
@@ -103,7 +108,7 @@ impl EgoTac {
             temporal: temporal::TemporalFusion::new(config, vb.pp("temporal"))?,
             decoder: decoder::Decoder::new(config, vb)?,
         };
-        Ok(Self { config: config.clone(), form: Form::Trainable(Box::new(layers)) })
+        Ok(Self::of(config.clone(), Form::Trainable(Box::new(layers))))
     }
 
     /// Geometry of the network.
@@ -133,7 +138,7 @@ impl EgoTac {
         let config = self.config;
         if layers.fit_the_engine() {
             let engine = engine::Engine::new(&config, *layers, precision)?;
-            return Ok(Self { config, form: Form::Compiled(Arc::new(engine)) });
+            return Ok(Self::of(config, Form::Compiled(Arc::new(engine))));
         }
         let available = layers.precision();
         if precision != available {
@@ -145,7 +150,31 @@ impl EgoTac {
         }
         layers.encoder.freeze()?;
         layers.decoder.freeze()?;
-        Ok(Self { config, form: Form::Trainable(layers) })
+        Ok(Self::of(config, Form::Trainable(layers)))
+    }
+
+    fn of(config: Config, form: Form) -> Self {
+        Self {
+            config,
+            form,
+            #[cfg(feature = "cuda")]
+            recorded: None,
+        }
+    }
+
+    /// On a GPU, records the work on one image of a stream, so that it is started as a whole. Nothing else may use the device meanwhile, and
+    /// later changes of the parameters have no effect that can be relied on. Where recording fails, each kernel is started by itself, which takes
+    /// longer.
+    pub(crate) fn record(self) -> Self {
+        #[cfg(feature = "cuda")]
+        if let Form::Trainable(layers) = &self.form
+            && layers.temporal.token.device().is_cuda()
+        {
+            // Another network's device may be closed at the same time, which ends a recording.
+            let recorded = (0..3).find_map(|_| recorded::Recorded::new(&self.config, layers).ok());
+            return Self { recorded: recorded.map(Arc::new), ..self };
+        }
+        self
     }
 
     /// Bytes of the compiled weights; `None` before [`EgoTac::compile`] and on other devices than the CPU.
@@ -166,6 +195,17 @@ impl EgoTac {
 }
 
 impl Layers {
+    /// Computes the vision tokens of frames, `(N, 3, H, W)`, in the type of the weights. Returns `(N, P, dv)`.
+    fn encode(&self, frames: &Tensor) -> candle_core::Result<Tensor> {
+        self.encoder.forward(&frames.to_dtype(self.dtype)?)
+    }
+
+    /// Computes force in normalised units and contact logits of scene vectors `(B, d)`. Returns `(B, K, 1556)` twice, f32.
+    fn heads(&self, z: &Tensor) -> candle_core::Result<(Tensor, Tensor)> {
+        let (force, contact) = self.decoder.forward(z)?;
+        Ok((force.to_dtype(DType::F32)?, contact.to_dtype(DType::F32)?))
+    }
+
     /// True if the engine accepts these tensors: f32 on the CPU.
     fn fit_the_engine(&self) -> bool {
         self.dtype == DType::F32 && self.temporal.token.device().is_cpu()

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use candle_core::{DType, Device};
 use egotac_kernels::packed::Format;
 use serde::{Deserialize, Serialize};
 
@@ -42,6 +43,11 @@ impl Precision {
             Precision::Bf16 => Format::Bf16,
             Precision::Int8 => Format::Int8,
         }
+    }
+
+    /// Type of the tensors that hold the weights on a device. On the CPU they are f32 for every precision: the engine converts them.
+    pub fn dtype(self, device: &Device) -> DType {
+        if self == Precision::Bf16 && !device.is_cpu() { DType::BF16 } else { DType::F32 }
     }
 
     /// Precision of the first and the last layers: they cost little, and 8 bits would lose most there.

@@ -196,6 +196,7 @@ impl Predictor {
         if let Some(focus) = &options.focus {
             check_focus(focus, &checkpoint, &options.device)?;
         }
+        checkpoint.model = checkpoint.model.record();
         let Options { device, unknown, reuse_below, focus, .. } = options;
         let (reuse, focused, frames) = (Reuse::new(reuse_below)?, Focused::new(focus), Frames::default());
         Ok(Self { checkpoint, device, max_gap_secs, unknown, other_view, frames, hands, reuse, focused, mano: None })

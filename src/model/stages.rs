@@ -44,7 +44,15 @@ impl EgoTac {
     /// If H or W is not `config.image`; in a compiled network also if a step's result is not finite, with its name.
     pub fn encode(&self, frames: &Tensor) -> Result<Tensor> {
         match &self.form {
-            Form::Trainable(layers) => Ok(layers.encoder.forward(&frames.to_dtype(layers.dtype)?)?),
+            Form::Trainable(layers) => {
+                #[cfg(feature = "cuda")]
+                if let Some(recorded) = &self.recorded
+                    && let Some(tokens) = recorded.encode(frames)?
+                {
+                    return Ok(tokens);
+                }
+                Ok(layers.encode(frames)?)
+            }
             Form::Compiled(engine) => {
                 let n = self.check_frames(frames)?;
                 let tokens = with_slices(&[frames], |values| engine.encode(values[0]))?;
@@ -160,15 +168,30 @@ impl EgoTac {
     /// # Errors
     /// As [`EgoTac::fuse`] and [`EgoTac::heads`].
     pub(crate) fn head_outputs(&self, frames: &[&Tensor]) -> Result<HeadOutputs> {
-        let b = self.check_windows(frames)?;
+        self.check_windows(frames)?;
         let [force, contact_logits] = match &self.form {
             Form::Trainable(_) => {
-                let (force, contact) = self.heads(&self.fuse(&self.stack(frames, b)?)?)?;
+                let (force, contact) = self.decode_frames(frames)?;
                 [force.flatten_all()?.to_vec1()?, contact.flatten_all()?.to_vec1()?]
             }
             Form::Compiled(engine) => engine.heads(&with_slices(frames, |frames| engine.fuse(frames))?)?,
         };
         Ok(HeadOutputs { force, contact_logits, steps: self.config.predict })
+    }
+
+    /// Computes force in normalised units and contact logits of windows of projected frames; frames as in [`EgoTac::fuse_frames`].
+    ///
+    /// Returns `(B, K, 1556)` twice, f32.
+    ///
+    /// # Errors
+    /// As [`EgoTac::fuse`] and [`EgoTac::heads`].
+    pub fn decode_frames(&self, frames: &[&Tensor]) -> Result<(Tensor, Tensor)> {
+        #[cfg(feature = "cuda")]
+        if let (Some(recorded), 1) = (&self.recorded, self.check_windows(frames)?) {
+            let [force, contact] = recorded.window(frames)?;
+            return Ok((force, contact));
+        }
+        self.heads(&self.fuse_frames(frames)?)
     }
 
     /// Computes force in normalised units (newton = `force_scale` x output) and contact logits from the scene vector.
@@ -179,10 +202,7 @@ impl EgoTac {
     /// If the last dimension is not d; in a compiled network also if a step's result is not finite, with its name.
     pub fn heads(&self, z: &Tensor) -> Result<(Tensor, Tensor)> {
         match &self.form {
-            Form::Trainable(layers) => {
-                let (force, contact) = layers.decoder.forward(z)?;
-                Ok((force.to_dtype(DType::F32)?, contact.to_dtype(DType::F32)?))
-            }
+            Form::Trainable(layers) => Ok(layers.heads(z)?),
             Form::Compiled(engine) => {
                 let b = match *z.dims() {
                     [b, d] if d == self.config.width => b,

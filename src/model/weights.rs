@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::{Device, Tensor};
 use candle_nn::VarBuilder;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
@@ -160,8 +160,8 @@ impl<'a> WeightsFile<'a> {
     pub fn model(&self, config: &Config, device: &Device, precision: Precision) -> Result<EgoTac> {
         config.check()?;
         self.check(config)?;
-        let dtype = if precision == Precision::Bf16 && !device.is_cpu() { DType::BF16 } else { DType::F32 };
-        EgoTac::new(config, VarBuilder::from_tensors(self.tensors()?.into_iter().collect(), dtype, device))
+        let tensors = self.tensors()?.into_iter().collect();
+        EgoTac::new(config, VarBuilder::from_tensors(tensors, precision.dtype(device), device))
     }
 }
 

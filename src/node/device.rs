@@ -16,7 +16,7 @@ pub(crate) fn parameter() -> Parameter {
 /// If there is no usable CUDA device.
 pub(crate) fn open(parameters: &Parameters) -> anyhow::Result<Device> {
     match parameters.get::<String>("device").as_str() {
-        "cuda" => Device::new_cuda(0).context("device cuda"),
+        "cuda" => egotac_kernels::gpu::open(0).context("device cuda"),
         _ => Ok(Device::Cpu),
     }
 }

@@ -32,10 +32,11 @@ pub struct Progress {
 pub fn save(path: &Path, optimizer: &AdamW, progress: Progress, config: &str) -> Result<()> {
     let bytes = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
     let mut tensors = Vec::new();
-    for Param { name, var, moment1, moment2, average } in optimizer.params() {
-        let weight = var.flatten_all()?.to_vec1::<f32>()?;
-        for (kind, values) in STATE_KINDS.into_iter().zip([&weight, moment1, moment2, average]) {
-            tensors.push((format!("{kind}.{name}"), var.dims().to_vec(), bytes(values)));
+    for param in optimizer.params() {
+        let weight = param.var.flatten_all()?.to_vec1::<f32>()?;
+        let [moment1, moment2, average] = &param.state()?;
+        for (kind, values) in STATE_KINDS.into_iter().zip([&weight, &**moment1, moment2, average]) {
+            tensors.push((format!("{kind}.{}", param.name), param.var.dims().to_vec(), bytes(values)));
         }
     }
     let mut views = Vec::new();
@@ -88,8 +89,7 @@ pub fn load(path: &Path, optimizer: &mut AdamW, config: &str, steps: usize) -> R
     optimizer.restore(optimizer_steps, |param| {
         let [weight, moment1, moment2, average] = STATE_KINDS.map(|kind| read(kind, param));
         param.var.set(&Tensor::from_vec(weight?, param.var.shape(), param.var.device())?)?;
-        (param.moment1, param.moment2, param.average) = (moment1?, moment2?, average?);
-        Ok(())
+        param.set_state([moment1?, moment2?, average?])
     })?;
     Ok(Progress { step, ranks: ranks.max(1) })
 }

@@ -25,13 +25,13 @@ impl Gradients {
     /// # Errors
     /// If one is not f32, or can't be copied.
     pub fn new(params: &[Param], grads: Option<&GradStore>) -> Result<Self> {
-        let mut values = Vec::with_capacity(params.iter().map(|param| param.average.len()).sum());
+        let mut values = Vec::with_capacity(params.iter().map(|param| param.var.elem_count()).sum());
         let mut parts = Vec::with_capacity(params.len());
         for param in params {
             let grad = grads.and_then(|grads| grads.get(&param.var));
             match grad {
                 Some(grad) => with_host(grad, |grad| values.extend_from_slice(grad))?,
-                None => values.resize(values.len() + param.average.len(), 0.0),
+                None => values.resize(values.len() + param.var.elem_count(), 0.0),
             }
             parts.push((values.len(), grad.is_some()));
         }

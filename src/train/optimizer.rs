@@ -1,4 +1,4 @@
-//! AdamW with an exponential moving average of the weights; the state is in plain vectors.
+//! AdamW with an exponential moving average of the weights; the state is where the weights are.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::config::{Config, OptimizerConfig};
 use super::gradients::Gradients;
-use super::param::{Param, with_host};
+use super::param::{Param, State, with_host};
 use crate::error::{Error, Result};
 use crate::model::checkpoint::ENCODER;
 
@@ -42,9 +42,7 @@ impl AdamW {
             if var.dtype() != DType::F32 {
                 return Err(Error::value(&name, "dtype f32", format!("{:?}", var.dtype())));
             }
-            let average = var.flatten_all()?.to_vec1::<f32>()?;
-            let zeros = vec![0.0; average.len()];
-            params.push(Param { name, var, moment1: zeros.clone(), moment2: zeros, average });
+            params.push(Param::new(name, var)?);
         }
         Ok(Self {
             params,
@@ -104,6 +102,11 @@ impl AdamW {
     /// # Errors
     /// If a variable can't be read or set.
     pub fn step(&mut self, grads: &GradStore, learning_rate: f64) -> Result<f64> {
+        #[cfg(feature = "cuda")]
+        if self.is_on_gpu() {
+            let grads = self.params.iter().map(|param| grads.get(&param.var).cloned()).collect();
+            return self.step_on_gpu(grads, learning_rate);
+        }
         self.apply(&Gradients::new(&self.params, Some(grads))?, learning_rate)
     }
 
@@ -113,28 +116,32 @@ impl AdamW {
     /// If a variable can't be read or set.
     pub fn apply(&mut self, gradients: &Gradients, learning_rate: f64) -> Result<f64> {
         let gradients = gradients.by_variable();
+        #[cfg(feature = "cuda")]
+        if self.is_on_gpu() {
+            let tensor = |(param, grad): (&Param, Option<&[f32]>)| -> Result<Option<Tensor>> {
+                let made = grad.map(|grad| Tensor::from_slice(grad, param.var.shape(), param.var.device()));
+                Ok(made.transpose()?)
+            };
+            let grads = self.params.iter().zip(gradients).map(tensor).collect::<Result<_>>()?;
+            return self.step_on_gpu(grads, learning_rate);
+        }
         let squares =
             gradients.par_iter().flatten().map(|grad| grad.iter().map(|g| f64::from(*g).powi(2)).sum::<f64>());
         // Collects first: a parallel sum would add in another order each time, and the bits would vary.
         let norm = squares.collect::<Vec<f64>>().iter().sum::<f64>().sqrt();
-        if !norm.is_finite() {
-            return Ok(norm);
-        }
+        let Some(numbers) = self.numbers(norm, learning_rate) else { return Ok(norm) };
         self.steps += 1;
-        let scale = (self.config.max_grad_norm / norm.max(1e-12)).min(1.0) as f32;
-        let correction1 = 1.0 - BETA1.powi(self.steps as i32);
-        let correction2 = 1.0 - BETA2.powi(self.steps as i32);
-        // A smaller decay in the first steps, so that the average forgets the initial weights.
-        let decay = self.ema.min((1.0 + self.steps as f32) / (10.0 + self.steps as f32));
-        let Self { params, config, encoder_factor, .. } = self;
-        params.par_iter_mut().zip(&gradients).try_for_each(|(param, grad)| -> Result<()> {
-            let encoder = param.name.starts_with(ENCODER);
-            let rate = (learning_rate * if encoder { *encoder_factor } else { 1.0 }) as f32;
-            let decays = param.var.rank() >= 2;
-            let shrink = 1.0 - if decays { rate * config.weight_decay as f32 } else { 0.0 };
+        self.params.par_iter_mut().zip(&gradients).try_for_each(|(param, grad)| -> Result<()> {
+            let Numbers { scale, decay, corrections: [correction1, correction2], .. } = numbers;
+            let (rate, shrink) = numbers.of(param);
             let mut weights = with_host(param.var.as_tensor(), <[f32]>::to_vec)?;
+            let [moment1, moment2, average] = match &mut param.state {
+                State::Host(state) => state,
+                #[cfg(feature = "cuda")]
+                State::Gpu(_) => return Err(Error::value(&param.name, "a variable on the CPU", "one on a GPU")),
+            };
             if let Some(grad) = grad {
-                let state = param.moment1.iter_mut().zip(&mut param.moment2);
+                let state = moment1.iter_mut().zip(moment2);
                 for ((weight, grad), (m, v)) in weights.iter_mut().zip(*grad).zip(state) {
                     let grad = grad * scale;
                     *m += (1.0 - BETA1) * (grad - *m);
@@ -142,13 +149,65 @@ impl AdamW {
                     *weight = *weight * shrink - rate * (*m / correction1) / ((*v / correction2).sqrt() + EPS);
                 }
             }
-            for (average, weight) in param.average.iter_mut().zip(&weights) {
+            for (average, weight) in average.iter_mut().zip(&weights) {
                 *average += (1.0 - decay) * (weight - *average);
             }
             let shape = param.var.shape().clone();
             param.var.set(&Tensor::from_vec(weights, shape, param.var.device())?)?;
             Ok(())
         })?;
+        Ok(norm)
+    }
+
+    /// Returns the numbers of the next step; None if the norm is not finite.
+    fn numbers(&self, norm: f64, learning_rate: f64) -> Option<Numbers> {
+        let steps = self.steps + 1;
+        norm.is_finite().then(|| Numbers {
+            scale: (self.config.max_grad_norm / norm.max(1e-12)).min(1.0) as f32,
+            corrections: [BETA1, BETA2].map(|beta| 1.0 - beta.powi(steps as i32)),
+            // A smaller decay in the first steps, so that the average forgets the initial weights.
+            decay: self.ema.min((1.0 + steps as f32) / (10.0 + steps as f32)),
+            rate: learning_rate,
+            encoder_factor: self.encoder_factor,
+            weight_decay: self.config.weight_decay as f32,
+        })
+    }
+
+    #[cfg(feature = "cuda")]
+    fn is_on_gpu(&self) -> bool {
+        self.params.iter().any(|param| matches!(param.state, State::Gpu(_)))
+    }
+
+    /// As [`AdamW::apply`], where weights, gradients and state are on one GPU; nothing but the norm is copied from it.
+    #[cfg(feature = "cuda")]
+    fn step_on_gpu(&mut self, grads: Vec<Option<Tensor>>, learning_rate: f64) -> Result<f64> {
+        use egotac_kernels::ops::cuda::{self, AdamStep, Stepping};
+        let mut stepping = Vec::new();
+        for (param, grad) in self.params.iter().zip(&grads) {
+            let State::Gpu(state) = &param.state else {
+                return Err(Error::value(&param.name, "a variable on the GPU, as the others", "one on the CPU"));
+            };
+            if let Some(grad) = grad {
+                let weight = param.var.as_tensor();
+                stepping.push((param, Stepping { weight, grad: grad.contiguous()?, state, rate: 0.0, shrink: 1.0 }));
+            }
+        }
+        let (params, mut stepping): (Vec<&Param>, Vec<Stepping>) = stepping.into_iter().unzip();
+        let norm = cuda::squares(&stepping)?.sqrt();
+        let Some(numbers) = self.numbers(norm, learning_rate) else { return Ok(norm) };
+        for (param, variable) in params.into_iter().zip(&mut stepping) {
+            (variable.rate, variable.shrink) = numbers.of(param);
+        }
+        let Numbers { scale, decay, corrections, .. } = numbers;
+        cuda::adamw(&stepping, AdamStep { scale, corrections, betas: [BETA1, BETA2], eps: EPS, decay })?;
+        self.steps += 1;
+        // Without a gradient, the average alone moves.
+        for (param, _) in self.params.iter_mut().zip(&grads).filter(|(_, grad)| grad.is_none()) {
+            if let State::Gpu([_, _, average]) = &mut param.state {
+                let difference = (param.var.as_tensor() - &*average)?;
+                *average = (&*average + (difference * f64::from(1.0 - decay))?)?;
+            }
+        }
         Ok(norm)
     }
 
@@ -163,12 +222,39 @@ impl AdamW {
         };
         for param in self.params.iter().filter(|param| present.contains(&param.name)) {
             let tensor = match self.ema > 0.0 {
-                true => Tensor::from_slice(&param.average, param.var.shape(), param.var.device())?,
+                true => {
+                    let [_, _, average] = param.state()?;
+                    Tensor::from_slice(&average, param.var.shape(), param.var.device())?
+                }
                 false => param.var.as_tensor().clone(),
             };
             varmap.set_one(&param.name, tensor)?;
         }
         Ok(())
+    }
+}
+
+/// Numbers of one step.
+#[derive(Clone, Copy)]
+struct Numbers {
+    /// Factor of the gradient, which clips it.
+    scale: f32,
+    /// 1 - β₁ᵗ and 1 - β₂ᵗ.
+    corrections: [f32; 2],
+    /// Factor of the moving average.
+    decay: f32,
+    rate: f64,
+    encoder_factor: f64,
+    weight_decay: f32,
+}
+
+impl Numbers {
+    /// Returns the learning rate of a variable, and the factor by which its weights decay.
+    fn of(&self, param: &Param) -> (f32, f32) {
+        let encoder = param.name.starts_with(ENCODER);
+        let rate = (self.rate * if encoder { self.encoder_factor } else { 1.0 }) as f32;
+        let decays = param.var.rank() >= 2;
+        (rate, 1.0 - if decays { rate * self.weight_decay } else { 0.0 })
     }
 }
 
@@ -233,7 +319,8 @@ mod tests {
         assert_eq!(vars[1].to_vec1::<f32>().unwrap(), [3.0; 3]);
         let norm = adamw.step(&loss(&vars).backward().unwrap(), 0.1).unwrap();
         assert!(norm > 9.0, "the norm is the one before clipping: {norm}");
-        let moment: f32 = adamw.params().iter().flat_map(|p| &p.moment1).map(|m| m * m).sum::<f32>().sqrt();
+        let moment: f32 =
+            adamw.params().iter().flat_map(|p| p.state().unwrap()[0].to_vec()).map(|m| m * m).sum::<f32>().sqrt();
         assert!((moment - 1e-4).abs() < 1e-6, "{moment}");
     }
 

@@ -156,30 +156,22 @@ impl Pass<'_> {
             if batch.windows.is_empty() {
                 continue;
             }
-            let PassOutput { losses, gradients } = match config.precision {
-                Precision::Bf16 => {
-                    // A new cast for each batch, because a step changes the f32 weights.
-                    let vb = model::init::cast_builder(self.variables, DType::BF16, self.device);
-                    let network = EgoTac::new(self.geometry, vb)?;
-                    Pass { network: &network, ..*self }.run_share(batch, &counts, share)?
-                }
-                _ => self.run_share(batch, &counts, share)?,
-            };
+            let PassOutput { losses, gradients } = self.run_share(batch, &counts, share, config.precision)?;
             sum.losses.add(&losses, share as f32);
             optimizer.gather(&mut sum.gradients, gradients)?;
         }
         Ok(sum)
     }
 
-    /// Runs forward and backward; the gradients are those of `share` times the objective.
+    /// Runs forward and backward in `precision`; the gradients are those of `share` times the objective.
     ///
     /// Each frame is encoded once: the windows share its tokens, and its gradient is the sum over them.
     ///
     /// # Errors
     /// If the device is out of memory.
-    pub fn run(&self, batch: Batch, share: f64) -> Result<PassOutput> {
+    pub fn run(&self, batch: Batch, share: f64, precision: Precision) -> Result<PassOutput> {
         let counts = self.counts(&batch);
-        self.run_share(batch, &counts, share)
+        self.run_share(batch, &counts, share, precision)
     }
 
     /// Counts the supervised entries of a batch.
@@ -191,9 +183,17 @@ impl Pass<'_> {
     }
 
     /// As [`Pass::run`], on a part of a batch that has `counts` in all.
-    fn run_share(&self, batch: Batch, counts: &Counts, share: f64) -> Result<PassOutput> {
+    fn run_share(&self, batch: Batch, counts: &Counts, share: f64, precision: Precision) -> Result<PassOutput> {
         // On a thread of the rayon pool: from another thread, each of some thousand operations would wake the pool.
-        rayon::scope(|_| self.run_here(batch, counts, share))
+        rayon::scope(|_| match precision {
+            Precision::Bf16 => {
+                // A new cast for each batch, because a step changes the f32 weights.
+                let vb = model::init::cast_builder(self.variables, DType::BF16, self.device);
+                let network = EgoTac::new(self.geometry, vb)?;
+                Pass { network: &network, ..*self }.run_here(batch, counts, share)
+            }
+            _ => self.run_here(batch, counts, share),
+        })
     }
 
     fn run_here(&self, mut batch: Batch, counts: &Counts, share: f64) -> Result<PassOutput> {

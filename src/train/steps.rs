@@ -96,10 +96,16 @@ impl<'a> Steps<'a> {
     /// Takes one step; its time is not known yet.
     fn take(&mut self, loader: &mut Loader) -> Result<Step> {
         let mut sum = self.pass.accumulate(self.ranks, loader, &self.optimizer, self.config)?;
-        let mut gradients = Gradients::new(self.optimizer.params(), sum.gradients.take().as_ref())?;
-        let exchange_bytes = sum.add_over(self.ranks, &mut gradients)?;
         let learning_rate = self.config.learning_rate(self.step);
-        let grad_norm = self.optimizer.apply(&gradients, learning_rate)?;
+        let (exchange_bytes, grad_norm) = match sum.gradients.take() {
+            // Gradients stay on the device.
+            Some(gradients) if self.ranks.size() == 1 => (0, self.optimizer.step(&gradients, learning_rate)?),
+            gradients => {
+                let mut gradients = Gradients::new(self.optimizer.params(), gradients.as_ref())?;
+                let bytes = sum.add_over(self.ranks, &mut gradients)?;
+                (bytes, self.optimizer.apply(&gradients, learning_rate)?)
+            }
+        };
         self.step += 1;
 
         self.skipped_in_a_row = if grad_norm.is_finite() { 0 } else { self.skipped_in_a_row + 1 };

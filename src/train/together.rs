@@ -56,14 +56,13 @@ pub fn share_state(ranks: &dyn Communicator, optimizer: &mut AdamW, progress: Pr
     optimizer.restore(steps, |param| {
         let mut weights = with_host(param.var.as_tensor(), <[f32]>::to_vec)?;
         ranks.broadcast(&mut weights)?;
+        let mut state = param.state()?.map(std::borrow::Cow::into_owned);
         match step {
             // Moments are 0 on all ranks, and the average begins at the weights.
-            0 => param.average.copy_from_slice(&weights),
-            _ => {
-                let state = [&mut param.moment1, &mut param.moment2, &mut param.average];
-                state.into_iter().try_for_each(|values| ranks.broadcast(values))?;
-            }
+            0 => state[2].copy_from_slice(&weights),
+            _ => state.iter_mut().try_for_each(|values| ranks.broadcast(values))?,
         }
+        param.set_state(state)?;
         Ok(param.var.set(&Tensor::from_vec(weights, param.var.shape(), param.var.device())?)?)
     })?;
     Ok(Progress { step, ranks: began })

@@ -1,4 +1,4 @@
-//! CPU kernels of egotac.
+//! Kernels of egotac.
 //!
 //! | module | contents |
 //! |---|---|
@@ -6,6 +6,7 @@
 //! | [`packed`], [`norm`], [`attention`] | layers laid out once for inference, on slices |
 //! | [`activations`], [`rows`] | their inputs: rows of f32, and the same rows in 16 or 8 bits |
 //! | [`team`] | threads that share the many short steps of one inference |
+//! | [`gpu`] | NVIDIA GPUs, on which [`ops`] run too |
 //! | [`peak`] | the most that the processor computes and reads |
 //! | [`simd`] | loops compiled for the widest vectors of the processor at hand |
 //!
@@ -26,6 +27,9 @@ mod aligned;
 mod amx;
 #[allow(unsafe_code)] // tiles that write disjoint parts of one result
 pub mod attention;
+#[allow(unsafe_code)] // settings of the device's memory
+#[cfg(not(miri))]
+pub mod gpu;
 #[cfg(not(miri))]
 pub mod norm;
 #[cfg(not(miri))] // needs candle, which miri is not given

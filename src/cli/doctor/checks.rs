@@ -217,7 +217,7 @@ fn gpu() -> Row {
     if cfg!(not(feature = "cuda")) {
         return Row::not_needed(NAME, "cuda", found);
     }
-    match candle_core::Device::new_cuda(0) {
+    match egotac_kernels::gpu::open(0) {
         Ok(_) => Row::ok(NAME, found),
         Err(error) => Row::missing(
             NAME,
