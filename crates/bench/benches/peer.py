@@ -4,6 +4,9 @@
     python crates/bench/benches/peer.py --preset tiny --threads 2 [--runs 20] [--openvino [--nncf]]
     python crates/bench/benches/peer.py --preset tiny --threads 2 --train [--batch 4] [--runs 3]
 
+With --cuda INDEX both run on a GPU, in --precision f32 or bf16 (a training step: autocast, with weights in f32), and
+--compile compiles the network with torch.compile.
+
 Needs torch and transformers, openvino for its encoder in f32 and bf16, and nncf for its encoder in 8 bits. Prints medians
 in ms and the largest resident memory in MB (2^20 bytes) as JSON: encoder_ms one frame, streaming_ms one more frame of a stream whose other frames' tokens are kept,
 clip_ms the whole window. With --train: step_ms and windows_per_s of an optimisation step.
@@ -92,13 +95,16 @@ class EgoTac(nn.Module):
         return self.decode(self.encode(images.flatten(0, 1)).unflatten(0, images.shape[:2]))
 
 
-def median_ms(run, runs):
+def median_ms(run, runs, warm_up=1):
+    """Median time, without the first runs."""
     times = []
-    for _ in range(runs + 1):
+    for _ in range(runs + warm_up):
         begun = time.perf_counter()
         run()
+        if torch.cuda.is_initialized():
+            torch.cuda.synchronize()
         times.append((time.perf_counter() - begun) * 1e3)
-    return sorted(times[1:])[runs // 2]
+    return sorted(times[warm_up:])[runs // 2]
 
 
 def openvino_ms(model, frame, threads, runs, with_nncf):
@@ -132,24 +138,30 @@ def openvino_ms(model, frame, threads, runs, with_nncf):
     return out
 
 
-def train_step(c, batch, runs):
+def train_step(c, batch, runs, device, bf16, compiled):
     """A whole optimisation step: forward, force and contact loss, backward, clipping, AdamW."""
-    model = EgoTac(c).train()
+    model = EgoTac(c).train().to(device)
     optimiser = torch.optim.AdamW(model.parameters(), 1e-4)
     images = torch.randn(batch, c["horizon"], 3, c["image"], c["image"])
     force = torch.rand(batch, c["steps"], 1556)
     contact = (force > 0.9).float()
+    weight = torch.tensor(2.0, device=device)
+    forward = torch.compile(model) if compiled else model
 
     def step():
-        predicted, logits = model(images)
-        loss = F.mse_loss(predicted, force)
-        loss = loss + F.binary_cross_entropy_with_logits(logits, contact, pos_weight=torch.tensor(2.0))
+        # As in a real step, each batch comes from the host.
+        x, y, z = images.to(device), force.to(device), contact.to(device)
+        with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
+            predicted, logits = forward(x)
+        predicted, logits = predicted.float(), logits.float()
+        loss = F.mse_loss(predicted, y)
+        loss = loss + F.binary_cross_entropy_with_logits(logits, z, pos_weight=weight)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 5.0)
         optimiser.step()
 
-    ms = median_ms(step, runs)
+    ms = median_ms(step, runs, 1 if device.type == "cpu" else 5)
     return {"step_ms": ms, "windows_per_s": 1e3 * batch / ms}
 
 
@@ -162,22 +174,32 @@ def main():
     parser.add_argument("--nncf", action="store_true", help="with --openvino: and quantised by NNCF")
     parser.add_argument("--train", action="store_true", help="time a training step in place of all else")
     parser.add_argument("--batch", type=int, default=4, help="windows of a training step")
+    parser.add_argument("--cuda", type=int, metavar="INDEX", help="run on this GPU")
+    parser.add_argument("--precision", default="f32", choices=["f32", "bf16"], help="number format on a GPU")
+    parser.add_argument("--compile", action="store_true", help="compile the network with torch.compile")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     c = PRESETS[args.preset]
+    device = torch.device("cpu" if args.cuda is None else f"cuda:{args.cuda}")
+    bf16 = args.precision == "bf16"
     if args.train:
-        print(json.dumps(train_step(c, args.batch, args.runs)))
+        print(json.dumps(train_step(c, args.batch, args.runs, device, bf16, args.compile)))
         return
-    model = EgoTac(c).eval()
-    frame = torch.randn(1, 3, c["image"], c["image"])
+    model = EgoTac(c).eval().to(device, torch.bfloat16 if bf16 else torch.float32)
+    frame = torch.randn(1, 3, c["image"], c["image"], device=device, dtype=torch.bfloat16 if bf16 else torch.float32)
+    if args.compile:
+        # CUDA graphs, so that no time is spent on launching kernels; a graph's output is overwritten by its next run.
+        encode, model.decode = (torch.compile(f, mode="reduce-overhead") for f in (model.encode, model.decode))
+        model.encode = lambda frames: encode(frames).clone()
+    warm_up = 1 if args.cuda is None else 10
     clip = frame[None].expand(1, c["horizon"], -1, -1, -1).contiguous()
     with torch.inference_mode():
-        cache = model.encode(frame)[None].expand(1, c["horizon"], -1, -1).contiguous()
+        cache = model.encode(frame)[None].expand(1, c["horizon"], -1, -1).clone()
         streaming = lambda: model.decode(torch.cat([cache[:, 1:], model.encode(frame)[None]], dim=1))
         out = {
-            "encoder_ms": median_ms(lambda: model.encode(frame), args.runs),
-            "streaming_ms": median_ms(streaming, args.runs),
-            "clip_ms": median_ms(lambda: model(clip), args.runs),
+            "encoder_ms": median_ms(lambda: model.encode(frame), args.runs, warm_up),
+            "streaming_ms": median_ms(streaming, args.runs, warm_up),
+            "clip_ms": median_ms(lambda: model(clip), args.runs, warm_up),
         }
         out["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         if args.openvino:

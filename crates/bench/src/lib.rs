@@ -4,6 +4,7 @@
 //! | module | measures |
 //! |---|---|
 //! | [`model`], [`train`] | time and memory of the network and of a training step, beside PyTorch and OpenVINO |
+//! | [`gpu`] | time of both on a GPU, beside PyTorch |
 //! | [`layers`] | time of each step of the encoder, beside the processor's peak |
 //! | [`ranks`] | training on several processes |
 //! | [`label`] | time that `egotac label` spends outside the network |
@@ -30,6 +31,7 @@ pub mod faults;
 mod front;
 #[cfg(feature = "sim")]
 pub mod glove;
+pub mod gpu;
 #[cfg(feature = "sim")]
 pub mod guards;
 pub mod hard_cases;

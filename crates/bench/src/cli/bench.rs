@@ -4,6 +4,7 @@ mod draw;
 mod effects;
 mod faults;
 mod glove;
+mod gpu;
 mod guards;
 mod hard_cases;
 mod import;
@@ -35,6 +36,8 @@ enum Subject {
     Layers(layers::Args),
     /// Measure a training step, beside another program's.
     Train(train::Args),
+    /// Measure network and training step on a GPU, beside another program's.
+    Gpu(gpu::Args),
     /// Measure training on several processes, and compute it for more machines.
     Ranks(ranks::Args),
     /// Measure what labelling adds to the network's time: reading, writing, geometry.
@@ -71,6 +74,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Model(args) => return status(model::run(&args)?),
         Subject::Layers(args) => return layers::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Train(args) => return train::run(&args).map(|()| ExitCode::SUCCESS),
+        Subject::Gpu(args) => return gpu::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Ranks(args) => return ranks::run(&args).map(|()| ExitCode::SUCCESS),
         Subject::Label(args) => return status(label::run(&args)?),
         Subject::Import(args) => return status(import::run(&args)?),
@@ -95,6 +99,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         Subject::Model(args) => model::run(&args)?,
         Subject::Layers(args) => layers::run(&args).map(|()| true)?,
         Subject::Train(args) => train::run(&args).map(|()| true)?,
+        Subject::Gpu(args) => gpu::run(&args).map(|()| true)?,
         Subject::Ranks(args) => ranks::run(&args).map(|()| true)?,
         Subject::Label(args) => label::run(&args)?,
         Subject::Import(args) => import::run(&args)?,

@@ -13,10 +13,11 @@ use clap::{CommandFactory, Parser, Subcommand};
 use egotac::cli::help;
 
 /// Example of each command, without the program's name.
-const EXAMPLES: [&str; 18] = [
+const EXAMPLES: [&str; 19] = [
     "bench model --preset toy --threads 2",
     "bench layers --preset tiny",
     "bench train --preset tiny",
+    "bench gpu --preset tiny --out out/gpu",
     "bench ranks --preset tiny --steps 2",
     "bench label --frames 100",
     "bench import --out out/import",

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use candle_core::{Device, Tensor};
-use candle_nn::VarMap;
+use candle_nn::{VarBuilder, VarMap};
 use egotac::dataset::zarr::ZarrReader;
 use egotac::error::{Error, Result};
 use egotac::model::predictor::{Options, Predictor};
@@ -116,13 +116,24 @@ pub struct Row {
 /// If the configuration is impossible, or the device has no such precision.
 pub fn random(setup: &Setup) -> Result<Row> {
     let metadata = Metadata::new(&setup.name, 1.0, FRAME_DT);
-    let model = {
-        // Dropped before the network is compiled, because the variables hold the weights a second time.
-        let vars = VarMap::new();
-        EgoTac::new(&setup.config, init::var_builder(&vars, 0, &setup.device))?
-    };
+    let model = random_network(&setup.config, setup.precision, &setup.device)?;
     let checkpoint = Checkpoint::new(model.compile(setup.precision)?, metadata);
     run(setup, checkpoint, None)
+}
+
+/// Creates a network with random weights, as if it were loaded: nothing in it learns.
+///
+/// # Errors
+/// If the geometry is impossible, or the device is out of memory.
+pub fn random_network(config: &Config, precision: Precision, device: &Device) -> Result<EgoTac> {
+    let vars = VarMap::new();
+    EgoTac::new(config, init::var_builder(&vars, 0, &Device::Cpu))?;
+    let drawn = vars
+        .data()
+        .lock()
+        .map_err(|_| Error::value("variables", "unlocked ones", "a thread died while it held them"))?;
+    let tensors = drawn.iter().map(|(name, var)| (name.clone(), var.as_detached_tensor())).collect();
+    EgoTac::new(config, VarBuilder::from_tensors(tensors, precision.dtype(device), device))
 }
 
 /// Times a checkpoint's weights and scores them on stores.
@@ -156,7 +167,9 @@ fn accuracy(checkpoint: &Checkpoint, stores: Vec<ZarrReader>, device: &Device) -
 
 fn run(setup: &Setup, checkpoint: Checkpoint, accuracy: Option<Accuracy>) -> Result<Row> {
     let (runs, device) = (setup.runs, &setup.device);
-    let model = checkpoint.model.clone();
+    let frame_dt = checkpoint.metadata.frame_dt;
+    let mut predictor = Predictor::new(checkpoint, Options { device: device.clone(), ..Options::default() })?;
+    let model = predictor.model().clone();
     let config = model.config().clone();
     let (side, horizon) = (config.image, config.horizon);
     let frame = Tensor::randn(0f32, 1.0, (1, 3, side, side), device)?;
@@ -171,7 +184,7 @@ fn run(setup: &Setup, checkpoint: Checkpoint, accuracy: Option<Accuracy>) -> Res
         let new = model.project(&model.encode(&frame)?)?;
         let mut window = vec![&kept; horizon - 1];
         window.push(&new);
-        model.heads(&model.fuse_frames(&window)?)?;
+        model.decode_frames(&window)?;
         synchronise()
     })?;
     let clip = time(runs, || {
@@ -190,8 +203,6 @@ fn run(setup: &Setup, checkpoint: Checkpoint, accuracy: Option<Accuracy>) -> Res
         }
     };
     let weights_mb = model.compiled_bytes().map(|bytes| bytes as f64 / f64::from(1 << 20));
-    let frame_dt = checkpoint.metadata.frame_dt;
-    let mut predictor = Predictor::new(checkpoint, Options { device: device.clone(), ..Options::default() })?;
     let file = jpeg()?;
     let mut stamp = 0.0;
     let picture = time(runs, || {
