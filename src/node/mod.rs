@@ -29,6 +29,8 @@ mod log_level;
 mod mailbox;
 #[cfg(feature = "sim")]
 mod object_pose;
+#[doc(hidden)]
+pub mod own_domain;
 mod parameter_files;
 mod parameter_services;
 mod params;

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use candle_core::{Device, Tensor};
 use candle_nn::VarMap;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
+use egotac::node::own_domain::OwnDomain;
 use tempfile::TempDir;
 
 /// Time after which a program counts as hung; a passing test never waits for it.
@@ -17,7 +18,7 @@ const TIMEOUT: Duration = Duration::from_secs(120);
 
 /// ROS domain, namespace and temporary folder of one test.
 pub struct Session {
-    domain: u32,
+    domain: OwnDomain,
     namespace: String,
     folder: TempDir,
     started: AtomicU32,
@@ -28,8 +29,7 @@ impl Session {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::SeqCst));
         Self {
-            // The ports of domains 1 to 101 lie below the system's ephemeral ports.
-            domain: (process.wrapping_mul(7) + count) % 101 + 1,
+            domain: OwnDomain::take(),
             namespace: format!("/test_{process}_{count}"),
             folder: TempDir::new().unwrap(),
             started: AtomicU32::new(0),
@@ -86,7 +86,7 @@ impl Session {
         let stem = Path::new(name).file_stem().unwrap().to_string_lossy().into_owned();
         let log = self.path(&format!("{count}_{stem}.log"));
         let output = File::create(&log).unwrap();
-        command.env("ROS_DOMAIN_ID", self.domain.to_string());
+        command.env("ROS_DOMAIN_ID", self.domain.id().to_string());
         command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
         command.env("ROS_LOG_DIR", self.folder.path());
         command.env("PYTHONDONTWRITEBYTECODE", "1");

@@ -4,11 +4,11 @@ mod report;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use egotac::error::{Error, Result};
 use egotac::machine::Machine;
 use egotac::model::Config;
+use egotac::node::own_domain::OwnDomain;
 use serde_json::{Value, json};
 
 use crate::faults::input;
@@ -95,11 +95,12 @@ fn run(options: &Options, name: &str, toy: &Path) -> Result<Value> {
     });
     let file = options.folder.join(format!("{name}.json"));
     egotac::file::write(&file, settings.to_string().as_bytes())?;
+    let domain = OwnDomain::take();
     let output = Command::new(&options.python)
         .arg(options.folder.join("measure.py"))
         .arg(name)
         .arg(&file)
-        .env("ROS_DOMAIN_ID", domain().to_string())
+        .env("ROS_DOMAIN_ID", domain.id().to_string())
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         .env("ROS_LOG_DIR", &logs)
         .env("PYTHONDONTWRITEBYTECODE", "1")
@@ -114,14 +115,6 @@ fn run(options: &Options, name: &str, toy: &Path) -> Result<Value> {
         let end: Vec<&str> = end.into_iter().rev().collect();
         Error::value(format!("measurement {name}"), "a result", format!("{}: {}", output.status, end.join(" | ")))
     })
-}
-
-/// Returns a ROS domain that no other measurement of this process has had lately: several may run at the same time.
-fn domain() -> u32 {
-    static MEASUREMENTS_BEFORE: AtomicU32 = AtomicU32::new(0);
-    let index = MEASUREMENTS_BEFORE.fetch_add(1, Ordering::Relaxed);
-    // The ports of domains 1 to 101 lie below the system's ephemeral ports.
-    (std::process::id().wrapping_add(index.wrapping_mul(37))) % 101 + 1
 }
 
 /// Replaces the names of recorded episodes by the number of frames that can be read from them.
