@@ -9,7 +9,9 @@ use rayon::prelude::*;
 
 use super::config::{Config, OptimizerConfig};
 use super::gradients::Gradients;
-use super::param::{Param, State, with_host};
+#[cfg(feature = "cuda")]
+use super::param::State;
+use super::param::{Param, with_host};
 use crate::error::{Error, Result};
 use crate::model::checkpoint::ENCODER;
 
@@ -135,10 +137,8 @@ impl AdamW {
             let Numbers { scale, decay, corrections: [correction1, correction2], .. } = numbers;
             let (rate, shrink) = numbers.of(param);
             let mut weights = with_host(param.var.as_tensor(), <[f32]>::to_vec)?;
-            let [moment1, moment2, average] = match &mut param.state {
-                State::Host(state) => state,
-                #[cfg(feature = "cuda")]
-                State::Gpu(_) => return Err(Error::value(&param.name, "a variable on the CPU", "one on a GPU")),
+            let Some([moment1, moment2, average]) = param.state.host() else {
+                return Err(Error::value(&param.name, "a variable on the CPU", "one on a GPU"));
             };
             if let Some(grad) = grad {
                 let state = moment1.iter_mut().zip(moment2);

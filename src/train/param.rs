@@ -27,6 +27,17 @@ pub(super) enum State {
     Gpu([Tensor; 3]),
 }
 
+impl State {
+    /// Returns the state in host memory; None if it is on a GPU.
+    pub(super) fn host(&mut self) -> Option<&mut [Vec<f32>; 3]> {
+        match self {
+            Self::Host(values) => Some(values),
+            #[cfg(feature = "cuda")]
+            Self::Gpu(_) => None,
+        }
+    }
+}
+
 impl Param {
     /// Takes a variable, with moments of zero and its weights as their average.
     ///

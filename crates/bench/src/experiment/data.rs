@@ -259,7 +259,7 @@ mod tests {
         let [first, again] = plans.each_ref().map(|stores| {
             let training = stores.source("force", Supervision::Both).unwrap().stores.clone();
             let training = training.iter().filter_map(|path| stores.recipe(path).cloned()).collect::<Vec<_>>();
-            training.into_iter().chain(stores.held_out(&[OOD]).unwrap().into_iter().cloned()).collect::<Vec<Recipe>>()
+            training.into_iter().chain(stores.held_out(&[OOD]).unwrap()).collect::<Vec<Recipe>>()
         });
         for a in &first {
             for b in &again {

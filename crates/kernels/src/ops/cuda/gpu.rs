@@ -10,7 +10,7 @@ use std::marker::PhantomData;
 use candle_core::cuda_backend::cudarc::cublas::{result, sys};
 use candle_core::cuda_backend::cudarc::driver::result as driver;
 use candle_core::cuda_backend::cudarc::driver::{
-    CudaSlice, DevicePtr as _, DeviceRepr, LaunchConfig, PushKernelArg as _,
+    CudaSlice, DevicePtr as _, DeviceRepr, LaunchArgs, LaunchConfig, PushKernelArg as _,
 };
 use candle_core::cuda_backend::{CudaDType, CudaDevice, CudaStorage, WrapErr as _};
 use candle_core::op::BackpropOp;
@@ -131,9 +131,15 @@ macro_rules! launch {
         let function = $gpu.device.get_or_load_custom_func(&$name, "egotac", ptx::KERNELS)?;
         let mut builder = function.builder();
         candle_core::builder_arg!(builder, $($arg),+);
-        // SAFETY: the arguments are those of the kernel, in number and type; for the pointers see the head of this module.
-        unsafe { builder.launch(config) }.w()?;
+        start(&mut builder, config)?;
     }};
+}
+
+/// Queues a kernel that has been given its arguments.
+fn start(kernel: &mut LaunchArgs, config: LaunchConfig) -> Result<()> {
+    // SAFETY: `launch!` gave it the arguments of the kernel, in number and type; for the pointers see the head of this module.
+    unsafe { kernel.launch(config) }.w()?;
+    Ok(())
 }
 
 /// Returns the configuration of a kernel on `count` values, which count in 32 bits.
