@@ -27,3 +27,25 @@ fn keep_memory(keep: bool) {
         libc::prctl(libc::PR_SET_THP_DISABLE, libc::c_ulong::from(!keep), 0, 0, 0);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use libmimalloc_sys::mi_option_get;
+
+    use super::*;
+
+    #[test]
+    fn the_number_of_the_option_is_that_of_the_purge_delay() {
+        #[allow(unsafe_code)]
+        let delay_ms = || {
+            // SAFETY: `mi_option_get` reads one aligned machine word; an unknown option is 0.
+            unsafe { mi_option_get(PURGE_DELAY) }
+        };
+        // Mimalloc's own default, which no other option has.
+        assert_eq!(delay_ms(), 1000);
+        keep_memory(false);
+        assert_eq!(delay_ms(), 0);
+        keep_memory(true);
+        assert_eq!(delay_ms(), 1000);
+    }
+}

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use candle_core::{Device, Result};
+use candle_core::{Device, DeviceLocation, Result};
 
 /// Held while a device is opened or work on one is recorded.
 static ALONE: Mutex<()> = Mutex::new(());
@@ -25,6 +25,17 @@ pub fn open(index: usize) -> Result<Device> {
     #[cfg(feature = "cuda")]
     cuda::prepare(device.as_cuda_device()?)?;
     Ok(device)
+}
+
+/// Opens the same processor again: on a GPU with a stream of its own, so that work there is not queued behind that of `device`.
+///
+/// # Errors
+/// As [`open`].
+pub fn another(device: &Device) -> Result<Device> {
+    match device.location() {
+        DeviceLocation::Cuda { gpu_id } => open(gpu_id),
+        _ => Ok(device.clone()),
+    }
 }
 
 #[cfg(feature = "cuda")]

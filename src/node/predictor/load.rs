@@ -101,7 +101,9 @@ pub(super) fn load_file(path: &Path, options: Options) -> anyhow::Result<Predict
     if !path.is_file() {
         bail!("model {}: no such file; give a checkpoint with -p model:=PATH", path.display());
     }
-    Ok(Predictor::load(path, options)?)
+    // On a GPU, a network is recorded when it is loaded, and another one may run meanwhile.
+    let device = egotac_kernels::gpu::another(&options.device)?;
+    Ok(Predictor::load(path, Options { device, ..options })?)
 }
 
 /// Runs the network on a black image; returns the seconds of the second run, because the first one also allocates.
