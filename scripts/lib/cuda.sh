@@ -1,4 +1,5 @@
 # shellcheck shell=bash
+# shellcheck disable=SC2154 # ready.sh sets the variables of folders
 # Finds a CUDA toolkit, or gathers one from Python wheels, and sets what cargo needs to build with it. Source it after ready.sh.
 
 # CUDA_COMPUTE_CAP: the GPU's (default: 90, Hopper).
