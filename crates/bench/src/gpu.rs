@@ -13,7 +13,7 @@ use crate::model::{Setup, measure};
 use crate::peer;
 use crate::train::{self, Form, Timed};
 
-/// What is measured.
+/// Configurations to measure.
 #[derive(Debug, Clone)]
 pub struct Plan {
     /// The command that measures the same again.
@@ -167,7 +167,7 @@ impl GpuReport {
     pub fn markdown(&self) -> String {
         let rounds = self.inference.first().map_or(0, |pair| pair.ours.len());
         let mut text = format!(
-            "# What network and training cost on a GPU\n\nWritten by `{}`: {} runs of each kind, {rounds} rounds, egotac {}, {}; {}.\n\
+            "# Time of network and training on a GPU\n\nWritten by `{}`: {} runs of each kind, {rounds} rounds, egotac {}, {}; {}.\n\
              Numbers: `gpu.json`.\n\n\
              *Encoder*: one frame. *Stream*: one more frame of a stream whose other frames are kept. *Window*: all frames of the \
              observation window.\n*Picture*: a JPEG of 640 x 480 pixels to touch, decoding and resizing on the CPU included. Random \

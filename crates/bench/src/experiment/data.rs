@@ -31,7 +31,7 @@ pub const REPETITION: u64 = 1000;
 /// Frames per second: at the usual 25, most windows would be nearly the same pictures.
 pub const RATE: f64 = 10.0;
 
-/// What the names of a repetition's stores are hashed with.
+/// Returns the start of the text whose hash names a store; it differs from repetition to repetition.
 fn again(size: &Size) -> String {
     if size.repetition == 0 { String::new() } else { format!("repetition {} ", size.repetition) }
 }

@@ -523,7 +523,7 @@ impl Gpu<'_, f32> {
     }
 }
 
-/// What the terms of a sum over rows are multiplied by.
+/// Factor of each term in a sum over rows.
 #[derive(Clone, Copy)]
 pub enum Factor {
     /// Nothing.
