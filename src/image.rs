@@ -13,6 +13,8 @@ use std::io::Cursor;
 use ::image::codecs::jpeg::JpegEncoder;
 use ::image::{DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits, Rgb, RgbImage};
 use fast_image_resize as fir;
+use fir::images::{TypedImage, TypedImageRef};
+use fir::pixels::U8x3;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
@@ -336,10 +338,14 @@ fn convolved(image: &View, size: (u32, u32), cropped: Option<[f64; 4]>, filter: 
         options = options.crop(left, top, width, height);
     }
     let failed = |error: &dyn std::fmt::Display| Error::value("image", "an image that can be resized", error);
-    let source = fir::images::ImageRef::new(image.width(), image.height(), image.as_raw(), fir::PixelType::U8x3);
-    let mut out = fir::images::Image::new(size.0, size.1, fir::PixelType::U8x3);
-    fir::Resizer::new().resize(&source.map_err(|e| failed(&e))?, &mut out, &options).map_err(|e| failed(&e))?;
-    RgbImage::from_raw(size.0, size.1, out.into_vec()).ok_or_else(|| failed(&"a buffer of another size"))
+    // The untyped call would compile the filters for all thirteen types of pixels.
+    let source = TypedImageRef::<U8x3>::from_buffer(image.width(), image.height(), image.as_raw());
+    let mut out = RgbImage::new(size.0, size.1);
+    let mut target = TypedImage::<U8x3>::from_buffer(size.0, size.1, &mut out).map_err(|e| failed(&e))?;
+    fir::Resizer::new()
+        .resize_typed(&source.map_err(|e| failed(&e))?, &mut target, &options)
+        .map_err(|e| failed(&e))?;
+    Ok(out)
 }
 
 /// Computes `(value / 255 - mean) / std` per channel. Returns `(3, H, W)`, row-major, channels red, green, blue.
