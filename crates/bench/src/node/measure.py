@@ -251,17 +251,21 @@ def soak(settings):
         poses.publish(hand_pose(stamp))
 
     counts_before = peer.counts()
+    turn = 0
     while (now := time.monotonic() - start) < secs:
-        # A subscriber of another view comes every five seconds and goes after five.
+        # A subscriber of another view comes every ten seconds and goes after five.
         if visitor is not None:
             peer.destroy_subscription(visitor)
-        kind, topic = kinds[int(now / 5) % 3]
-        visitor = peer.create_subscription(kind, f"predictor/{topic}", lambda _: None, 10) if int(now / 5) % 2 else None
+        kind, topic = kinds[turn % 3]
+        visitor = peer.create_subscription(kind, f"predictor/{topic}", lambda _: None, 10) if turn % 2 else None
         part = peer.stream(image, 30, min(5.0, secs - now) - 0.5, before)
         sent += len(part)
         seen += sum(stamp in peer.results for stamp in part)
-        for node in nodes:
-            memory[node.name].append((time.monotonic() - start, node.resident_bytes()))
+        # Always after the same visitors: a node holds the buffers of a visitor's topic for a while.
+        if turn % 6 == 4:
+            for node in nodes:
+                memory[node.name].append((time.monotonic() - start, node.resident_bytes()))
+        turn += 1
         for old in sorted(peer.results)[:-100]:
             del peer.results[old]
     peer.rest(2.5)
@@ -281,9 +285,9 @@ def soak(settings):
         "alive": alive,
         "warm_up_secs": WARM_UP_SECS,
         "growth_bytes": {name: growth(samples) for name, samples in memory.items()},
-        "resident_bytes": {name: samples[-1][1] for name, samples in memory.items()},
+        "resident_bytes": {node.name: node.resident_bytes() for node in nodes},
         # About once a minute: steps are buffers or caches, a slope is a leak.
-        "resident_over_time": {name: [[round(t), b] for t, b in samples[::12]] for name, samples in memory.items()},
+        "resident_over_time": {name: [[round(t), b] for t, b in samples[::2]] for name, samples in memory.items()},
     }
 
 
