@@ -7,6 +7,8 @@ mod robot;
 #[cfg(feature = "sim")]
 mod scene;
 mod table;
+#[cfg(test)]
+mod used;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

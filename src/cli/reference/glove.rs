@@ -53,42 +53,20 @@ pub(super) fn page() -> anyhow::Result<String> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
     use std::fs;
 
-    use serde_yaml::Value;
-
+    use super::super::used;
     use super::*;
     use crate::sensor::{map_path, shipped_names};
-
-    /// Collects the keys in a YAML value as the page names them; the keys of a map's layout are those of a layout.
-    fn collect(value: &Value, before: &str, found: &mut BTreeSet<String>) {
-        for (name, value) in value.as_mapping().into_iter().flatten() {
-            let name = format!("{before}{}", name.as_str().unwrap());
-            match value {
-                Value::Sequence(entries) => {
-                    entries.iter().for_each(|entry| collect(entry, &format!("{name}[]."), found));
-                }
-                value => collect(value, "", found),
-            }
-            found.insert(name);
-        }
-    }
 
     #[test]
     fn each_key_of_the_shipped_maps_stands_on_the_page_with_a_meaning() {
         let page = page().unwrap();
-        let mut used = BTreeSet::new();
-        for name in shipped_names() {
-            let text = fs::read_to_string(map_path(&name).unwrap()).unwrap();
-            collect(&serde_yaml::from_str(&text).unwrap(), "", &mut used);
-        }
+        let texts = shipped_names().into_iter().map(|name| fs::read_to_string(map_path(&name).unwrap()).unwrap());
+        // The keys of a map's layout are those of a layout.
+        let used = used::keys(texts, &|_, value| (!value.is_sequence()).then(|| vec![(value, String::new())]));
         assert!(used.contains("weights_sha256") && used.contains("pads[].corners"), "{used:?}");
-        for name in used {
-            let row = page.lines().find(|line| line.starts_with(&format!("| `{name}` |")));
-            let row = row.unwrap_or_else(|| panic!("{name} is not on the page"));
-            assert!(!row.ends_with("|  |"), "{row}");
-        }
+        used::assert_explained(&page, &used);
     }
 
     #[test]

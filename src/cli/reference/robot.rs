@@ -32,48 +32,29 @@ pub(super) fn page() -> anyhow::Result<String> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
     use std::fs;
 
     use serde_yaml::Value;
 
+    use super::super::used;
     use super::*;
-
-    /// Collects the keys in a YAML value as the page names them.
-    fn collect(value: &Value, before: &str, found: &mut BTreeSet<String>) {
-        for (name, value) in value.as_mapping().into_iter().flatten() {
-            let name = format!("{before}{}", name.as_str().unwrap());
-            match value {
-                Value::Sequence(entries) => {
-                    entries.iter().for_each(|entry| collect(entry, &format!("{name}[]."), found));
-                }
-                Value::Mapping(fingers) if name == "fingers" => {
-                    fingers.values().for_each(|finger| collect(finger, "fingers.FINGER.", found));
-                }
-                // Names of fingers and joints.
-                _ if ["merge", "scale", "fixed_joints", "neutral"].contains(&name.as_str()) => {}
-                value => collect(value, &format!("{name}."), found),
-            }
-            found.insert(name);
-        }
-    }
 
     #[test]
     fn each_key_of_the_shipped_robots_stands_on_the_page_with_a_meaning() {
         let page = page().unwrap();
-        let mut used = BTreeSet::new();
-        for entry in fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/robots")).unwrap() {
-            let path = entry.unwrap().path();
-            if path.extension().is_some_and(|extension| extension == "yaml") {
-                collect(&serde_yaml::from_str(&fs::read_to_string(path).unwrap()).unwrap(), "", &mut used);
+        let files = fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/sim/robots")).unwrap();
+        let paths = files.map(|entry| entry.unwrap().path());
+        let yaml = paths.filter(|path| path.extension().is_some_and(|extension| extension == "yaml"));
+        let used = used::keys(yaml.map(|path| fs::read_to_string(path).unwrap()), &|name, value| match value {
+            Value::Sequence(_) => None,
+            Value::Mapping(fingers) if name == "fingers" => {
+                Some(fingers.values().map(|finger| (finger, "fingers.FINGER.".into())).collect())
             }
-        }
+            // Names of fingers and joints.
+            _ => ["merge", "scale", "fixed_joints", "neutral"].contains(&name).then(Vec::new),
+        });
         assert!(used.len() > 10, "{used:?}");
-        for name in used {
-            let row = page.lines().find(|line| line.starts_with(&format!("| `{name}` |")));
-            let row = row.unwrap_or_else(|| panic!("{name} is not on the page"));
-            assert!(!row.ends_with("|  |"), "{row}");
-        }
+        used::assert_explained(&page, &used);
     }
 
     #[test]

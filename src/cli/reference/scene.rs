@@ -58,47 +58,26 @@ pub(super) fn page() -> anyhow::Result<String> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use serde_yaml::Value;
 
+    use super::super::used;
     use super::*;
     use crate::sim::scene::SHIPPED;
-
-    /// Collects the keys in a YAML value as the page names them.
-    fn collect(value: &Value, before: &str, found: &mut BTreeSet<String>) {
-        for (name, value) in value.as_mapping().into_iter().flatten() {
-            let name = format!("{before}{}", name.as_str().unwrap());
-            match value {
-                Value::Sequence(entries) => {
-                    entries.iter().for_each(|entry| collect(entry, &format!("{name}[]."), found));
-                }
-                Value::Mapping(sites) if name.ends_with(".contacts") => {
-                    sites.values().for_each(|entry| collect(entry, &format!("{name}.SITE."), found));
-                }
-                Value::Mapping(shape) if name.ends_with("[].shape") => {
-                    let (form, keys) = shape.iter().next().unwrap();
-                    collect(keys, &format!("shape.{}.", form.as_str().unwrap()), found);
-                }
-                value => collect(value, &format!("{name}."), found),
-            }
-            found.insert(name);
-        }
-    }
 
     #[test]
     fn each_key_of_the_shipped_scenes_stands_on_the_page_with_a_meaning() {
         let page = page().unwrap();
-        let mut used = BTreeSet::new();
-        for (_, text) in SHIPPED {
-            collect(&serde_yaml::from_str(text).unwrap(), "", &mut used);
-        }
+        let used = used::keys(SHIPPED.map(|(_, text)| text.to_owned()), &|name, value| match value {
+            Value::Mapping(sites) if name.ends_with(".contacts") => {
+                Some(sites.values().map(|entry| (entry, format!("{name}.SITE."))).collect())
+            }
+            Value::Mapping(shape) if name.ends_with("[].shape") => {
+                Some(shape.iter().map(|(form, keys)| (keys, format!("shape.{}.", form.as_str().unwrap()))).collect())
+            }
+            _ => None,
+        });
         assert!(used.len() > 50, "{used:?}");
-        for name in used {
-            let row = page.lines().find(|line| line.starts_with(&format!("| `{name}` |")));
-            let row = row.unwrap_or_else(|| panic!("{name} is not on the page"));
-            assert!(!row.ends_with("|  |"), "{row}");
-        }
+        used::assert_explained(&page, &used);
     }
 
     #[test]
