@@ -52,7 +52,7 @@ impl Operation for SelfAttention {
     const NAME: &'static str = "self-attention";
 
     fn forward(&self, operands: [Operand; 3]) -> Result<(Vec<f32>, Shape)> {
-        let projected = linear::shape(operands)?;
+        let projected = linear::shape(operands.map(|operand| operand.dims()))?;
         let sizes = self.sizes(projected.dims())?;
         let Sizes { n, d, .. } = sizes;
         let [x, weight, bias] = operands;

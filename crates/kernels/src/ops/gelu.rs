@@ -38,7 +38,7 @@ impl Operation for GeluLinear {
     const NAME: &'static str = "gelu-linear";
 
     fn forward(&self, operands: [Operand; 3]) -> Result<(Vec<f32>, Shape)> {
-        let shape = linear::shape(operands)?;
+        let shape = linear::shape(operands.map(|operand| operand.dims()))?;
         let [x, weight, bias] = operands;
         let activated = gelu(x.values);
         let out = linear::forward(&activated, weight.values, bias.values, weight.dims()[1]);

@@ -24,7 +24,7 @@ impl Operation for Linear {
     const NAME: &'static str = "linear";
 
     fn forward(&self, operands: [Operand; 3]) -> Result<(Vec<f32>, Shape)> {
-        let shape = shape(operands)?;
+        let shape = shape(operands.map(|operand| operand.dims()))?;
         let [x, weight, bias] = operands;
         Ok((forward(x.values, weight.values, bias.values, weight.dims()[1]), shape))
     }
@@ -41,18 +41,15 @@ impl Operation for Linear {
     }
 }
 
-/// Returns the shape of the result of [`super::linear`] for x, weight and bias.
+/// Returns the shape of the result of [`super::linear`], from those of x, weight and bias.
 ///
 /// # Errors
-/// If their shapes don't fit each other.
-pub fn shape([x, weight, bias]: [Operand; 3]) -> Result<Shape> {
-    let (n, k) = weight.layout.shape().dims2()?;
-    let mut dims = x.dims().to_vec();
-    match dims.last_mut() {
-        Some(last) if *last == k && bias.dims() == [n] => *last = n,
-        _ => bail!("linear: x {dims:?}, weight [{n}, {k}], bias {:?}", bias.dims()),
+/// If they don't fit each other.
+pub fn shape([x, weight, bias]: [&[usize]; 3]) -> Result<Shape> {
+    match (x, weight) {
+        ([before @ .., last], [n, k]) if last == k && bias == [*n] => Ok(Shape::from([before, &[*n]].concat())),
+        _ => bail!("linear: x {x:?}, weight {weight:?}, bias {bias:?}"),
     }
-    Ok(Shape::from(dims))
 }
 
 /// Applies the layer to rows of `k` values.

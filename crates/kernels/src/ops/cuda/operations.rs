@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use candle_core::cuda_backend::cudarc::driver::CudaSlice;
 use candle_core::{Result, Shape, Tensor, bail};
 
+use super::super::linear;
 use super::gpu::{Factor, Gpu, Matrix, Pointer, Value, slice_pointer, tensor_pointer};
 use super::operation::{Operand, Operation, apply};
 
@@ -54,14 +55,11 @@ fn rows(dims: &[usize]) -> Result<[usize; 2]> {
 struct Linear;
 
 /// Returns the shape of `x Wᵀ + b`, and its rows, outputs and inputs (m, n, k).
-fn linear_shape([x, weight, bias]: [Operand; 3]) -> Result<(Shape, [usize; 3])> {
+fn linear_shape(operands: [Operand; 3]) -> Result<(Shape, [usize; 3])> {
+    let shape = linear::shape(operands.map(|operand| operand.dims()))?;
+    let [x, weight, _] = operands;
     let (n, k) = weight.layout.shape().dims2()?;
-    let mut dims = x.dims().to_vec();
-    match dims.last_mut() {
-        Some(last) if *last == k && bias.dims() == [n] => *last = n,
-        _ => bail!("linear: x {dims:?}, weight [{n}, {k}], bias {:?}", bias.dims()),
-    }
-    Ok((Shape::from(dims), [x.count() / k.max(1), n, k]))
+    Ok((shape, [x.count() / k.max(1), n, k]))
 }
 
 /// Queues y = x Wᵀ, without bias.
@@ -113,6 +111,17 @@ fn parameter_gradients<T: Value>(
     Ok([dweight, dbias])
 }
 
+/// Queues the gradients of input, weight and bias of a linear layer; `None` for one that is not a variable. `grad`: that of the output.
+fn gradients<T: Value>(gpu: &Gpu<T>, [x, weight, bias]: [&Tensor; 3], grad: Pointer) -> Result<[Option<Tensor>; 3]> {
+    let [m, _] = rows(x.dims())?;
+    let dx = match x.track_op() {
+        true => Some(gpu.tensor(input_gradient(gpu, grad, weight, m)?, x.shape())),
+        false => None,
+    };
+    let [dweight, dbias] = parameter_gradients(gpu, tensor_pointer::<T>(x)?, weight, bias, grad, m)?;
+    Ok([dx, dweight, dbias])
+}
+
 impl Operation for Linear {
     const NAME: &'static str = "linear-gpu";
 
@@ -124,20 +133,8 @@ impl Operation for Linear {
         Ok((out, shape))
     }
 
-    fn backward<T: Value>(
-        &self,
-        gpu: &Gpu<T>,
-        [x, weight, bias]: [&Tensor; 3],
-        grad: &Tensor,
-    ) -> Result<[Option<Tensor>; 3]> {
-        let [m, _] = rows(x.dims())?;
-        let grad = tensor_pointer::<T>(grad)?;
-        let dx = match x.track_op() {
-            true => Some(gpu.tensor(input_gradient(gpu, grad, weight, m)?, x.shape())),
-            false => None,
-        };
-        let [dweight, dbias] = parameter_gradients(gpu, tensor_pointer::<T>(x)?, weight, bias, grad, m)?;
-        Ok([dx, dweight, dbias])
+    fn backward<T: Value>(&self, gpu: &Gpu<T>, operands: [&Tensor; 3], grad: &Tensor) -> Result<[Option<Tensor>; 3]> {
+        gradients(gpu, operands, tensor_pointer::<T>(grad)?)
     }
 }
 
@@ -272,12 +269,7 @@ impl Operation for SelfAttention {
 
     /// With a the weights and g the gradient of the output: dv = aᵀ g, s = the gradient of a, g vᵀ, through the softmax, dq = s k,
     /// dk = sᵀ q.
-    fn backward<T: Value>(
-        &self,
-        gpu: &Gpu<T>,
-        [x, weight, bias]: [&Tensor; 3],
-        grad: &Tensor,
-    ) -> Result<[Option<Tensor>; 3]> {
+    fn backward<T: Value>(&self, gpu: &Gpu<T>, operands: [&Tensor; 3], grad: &Tensor) -> Result<[Option<Tensor>; 3]> {
         let Some((sorted, weights)) = self.kept.get() else { bail!("self-attention: backward without forward") };
         let (images, n, d) = grad.dims3()?;
         let sizes = Sizes::new(&[images, n, 3 * d], self.heads)?;
@@ -300,13 +292,7 @@ impl Operation for SelfAttention {
         let projected = gpu.empty::<T>(3 * images * n * d)?;
         let projected_grad = slice_pointer(&projected);
         gpu.join_heads(dq.at, projected_grad, sizes.sorted(3))?;
-        let m = images * n;
-        let dx = match x.track_op() {
-            true => Some(gpu.tensor(input_gradient(gpu, projected_grad, weight, m)?, x.shape())),
-            false => None,
-        };
-        let [dweight, dbias] = parameter_gradients(gpu, tensor_pointer::<T>(x)?, weight, bias, projected_grad, m)?;
-        Ok([dx, dweight, dbias])
+        gradients(gpu, operands, projected_grad)
     }
 }
 
