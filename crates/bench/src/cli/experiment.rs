@@ -90,6 +90,7 @@ mod enabled {
     use serde::Serialize;
 
     use super::*;
+    use crate::cli::write_report;
     use crate::experiment::{
         self, Experiment, Network, Progress, Setup, Size, attention, claims, decline, plot, reuse, transfer,
     };
@@ -189,11 +190,9 @@ mod enabled {
         format!("egotac experiment {}{training} --held-out {held_out} --size {image}{scenes}{again}{init}", args.name)
     }
 
-    /// Writes the report as JSON and Markdown; returns the latter.
+    /// Writes the report; returns its Markdown.
     fn write<R: Serialize>(args: &Args, report: &R, markdown: String) -> anyhow::Result<String> {
-        let named = |ending: &str| args.out.join(format!("{}.{ending}", args.name));
-        file::write(&named("json"), format!("{:#}\n", serde_json::to_value(report)?).as_bytes())?;
-        file::write(&named("md"), markdown.as_bytes())?;
+        write_report(&args.out, &args.name, report, &markdown)?;
         Ok(markdown)
     }
 

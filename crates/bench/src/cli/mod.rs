@@ -6,11 +6,12 @@ mod experiment;
 mod policy;
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use egotac::cli::help;
+use serde::Serialize;
 
 /// Example of each command, without the program's name.
 const EXAMPLES: [&str; 19] = [
@@ -48,7 +49,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Benchmarks of the documentation: model, layers, train, ranks, label, import, retarget, sim, physics, effects, glove, node, hard-cases, guards, faults.
+    /// Benchmarks of the documentation: model, layers, train, gpu, ranks, label, import, retarget, sim, physics, effects, glove, node, hard-cases, guards, faults.
     Bench(bench::Args),
     /// Test the paper's claims on rendered data: train, measure, compare.
     Experiment(Experiments),
@@ -130,6 +131,13 @@ fn run_experiment(args: Experiments) -> anyhow::Result<ExitCode> {
         // The name of an experiment is required.
         (None, None) => Ok(ExitCode::FAILURE),
     }
+}
+
+/// Writes a report as NAME.md and NAME.json into a folder.
+fn write_report(folder: &Path, name: &str, report: &impl Serialize, markdown: &str) -> anyhow::Result<()> {
+    let json = format!("{:#}\n", serde_json::to_value(report)?);
+    egotac::file::write(&folder.join(format!("{name}.md")), markdown.as_bytes())?;
+    Ok(egotac::file::write(&folder.join(format!("{name}.json")), json.as_bytes())?)
 }
 
 /// Returns worker processes that simulate `scenes` (names or files) with pictures of `size` x `size` pixels.

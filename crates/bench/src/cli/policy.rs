@@ -3,8 +3,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use egotac::file;
-
+use crate::cli::write_report;
 use crate::policy::{self, Size, plot};
 
 /// Arguments of `egotac experiment policy`.
@@ -55,8 +54,7 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         bar.set_message(what.to_owned());
     })?;
     bar.finish_and_clear();
-    file::write(&args.out.join("policy.md"), report.markdown().as_bytes())?;
-    file::write(&args.out.join("policy.json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
+    write_report(&args.out, "policy", &report, &report.markdown())?;
     plot::write(&args.out, &report)?;
     print!("{}", report.markdown());
     Ok(ExitCode::SUCCESS)

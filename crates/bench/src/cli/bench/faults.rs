@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use egotac::file;
 use egotac::text::tell;
 
+use crate::cli::write_report;
 use crate::faults::{self, Options};
 
 /// Arguments of `egotac bench faults`.
@@ -52,8 +52,7 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     })?;
     ensure!(!report.rows.is_empty(), "--only: expected a part of a command's name; no command has this in its name");
     if let Some(out) = &args.out {
-        file::write(&out.join("faults.md"), report.markdown().as_bytes())?;
-        file::write(&out.join("faults.json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
+        write_report(out, "faults", &report, &report.markdown())?;
     }
     print!("{}", report.markdown());
     Ok(report.is_clean())

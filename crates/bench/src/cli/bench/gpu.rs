@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use egotac::cli::options::Json;
 use egotac::cli::progress;
-use egotac::file;
 use egotac::model::{Config, Precision};
 
+use crate::cli::write_report;
 use crate::gpu::{self, Plan};
 
 /// Arguments of `egotac bench gpu`.
@@ -82,10 +82,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bar.inc(1);
     })?;
     bar.finish_and_clear();
-    let json = serde_json::to_value(&report)?;
     if let Some(out) = &args.out {
-        file::write(&out.join("gpu.md"), report.markdown().as_bytes())?;
-        file::write(&out.join("gpu.json"), format!("{json:#}\n").as_bytes())?;
+        write_report(out, "gpu", &report, &report.markdown())?;
     }
-    Ok(args.json.show(&json, || report.markdown())?)
+    Ok(args.json.show(&serde_json::to_value(&report)?, || report.markdown())?)
 }

@@ -2,8 +2,7 @@
 
 use std::path::PathBuf;
 
-use egotac::file;
-
+use crate::cli::write_report;
 use crate::import::{ALLOWED_MS, markdown, run as measure};
 
 /// Arguments of `egotac bench import`.
@@ -32,8 +31,7 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     let table = markdown(&report);
     print!("{table}");
     if let Some(folder) = &args.out {
-        file::write(&folder.join("import.md"), table.as_bytes())?;
-        file::write(&folder.join("import.json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
+        write_report(folder, "import", &report, &table)?;
     }
     Ok(report.contact.last().is_none_or(|row| row.label_ms <= ALLOWED_MS))
 }

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use candle_core::Device;
 use candle_nn::VarMap;
-use egotac::file;
 use egotac::model::predictor::Options;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Predictor, init, shipped};
 
+use crate::cli::write_report;
 use crate::label::{ALLOWED, markdown, run as measure};
 
 /// Arguments of `egotac bench label`.
@@ -50,8 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     let table = markdown(&report);
     print!("{table}");
     if let Some(folder) = &args.out {
-        file::write(&folder.join("label.md"), table.as_bytes())?;
-        file::write(&folder.join("label.json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
+        write_report(folder, "label", &report, &table)?;
     }
     let of_presets = report.rows.iter().filter(|row| args.preset.contains(&row.network));
     Ok(of_presets.map(|row| row.share).all(|share| share <= ALLOWED))

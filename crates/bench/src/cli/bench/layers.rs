@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use egotac::cli::options::Json;
 use egotac::cli::progress;
-use egotac::file;
 use egotac::model::{Config, Precision};
 
+use crate::cli::write_report;
 use crate::layers;
 
 /// Arguments of `egotac bench layers`.
@@ -51,10 +51,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bar.inc(1);
     })?;
     bar.finish_and_clear();
-    let json = serde_json::to_value(&report)?;
     if let Some(out) = &args.out {
-        file::write(&out.join("layers.md"), report.markdown().as_bytes())?;
-        file::write(&out.join("layers.json"), format!("{json:#}\n").as_bytes())?;
+        write_report(out, "layers", &report, &report.markdown())?;
     }
-    Ok(args.json.show(&json, || report.markdown())?)
+    Ok(args.json.show(&serde_json::to_value(&report)?, || report.markdown())?)
 }

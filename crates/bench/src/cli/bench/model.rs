@@ -12,6 +12,7 @@ use egotac::machine::Machine;
 use egotac::model::predictor::Options;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, Predictor, init, shipped};
 
+use crate::cli::write_report;
 use crate::model::{Plan, Setup, estimates, growth, measure, pareto, sweep, table};
 
 /// Largest allowed growth of a stream's memory, MB.
@@ -206,8 +207,7 @@ fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::ModelRepor
 
 fn write(out: &std::path::Path, report: &sweep::ModelReport) -> anyhow::Result<bool> {
     let text = table::render(report);
-    file::write(&out.join("model.md"), text.as_bytes())?;
-    file::write(&out.join("model.json"), format!("{:#}\n", serde_json::to_value(report)?).as_bytes())?;
+    write_report(out, "model", report, &text)?;
     pareto::write(out, report)?;
     print!("{text}");
     Ok(true)

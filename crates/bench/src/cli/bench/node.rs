@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
 use egotac::cli::options::Time;
-use egotac::file;
 
+use crate::cli::write_report;
 use crate::node::{self, MEASUREMENTS, Options};
 
 /// Arguments of `egotac bench node`.
@@ -52,8 +52,7 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let report = node::measure(&options, format!("egotac {}", words.join(" ")), |name| eprintln!("measuring: {name}"))?;
     if let Some(out) = &args.out {
-        file::write(&out.join("node.md"), report.markdown().as_bytes())?;
-        file::write(&out.join("node.json"), format!("{:#}\n", serde_json::to_value(&report)?).as_bytes())?;
+        write_report(out, "node", &report, &report.markdown())?;
     }
     print!("{}", report.markdown());
     Ok(report.is_good())

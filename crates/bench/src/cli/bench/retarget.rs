@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use egotac::cli::options::Json;
 
 #[cfg(feature = "sim")]
+use crate::cli::write_report;
+#[cfg(feature = "sim")]
 use crate::retarget::{Plan, plot, run as measure, table};
 
 /// Arguments of `egotac bench retarget`.
@@ -38,11 +40,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let bar = egotac::cli::progress::spinner("measuring");
     let report = measure(&plan(args), |what| bar.set_message(what.to_owned()))?;
     bar.finish_and_clear();
-    let (table, json) = (table::markdown(&report), serde_json::to_value(&report)?);
-    args.json.show(&json, || table.clone())?;
+    let table = table::markdown(&report);
+    args.json.show(&serde_json::to_value(&report)?, || table.clone())?;
     if let Some(folder) = &args.out {
-        egotac::file::write(&folder.join("retarget.md"), table.as_bytes())?;
-        egotac::file::write(&folder.join("retarget.json"), format!("{json:#}\n").as_bytes())?;
+        write_report(folder, "retarget", &report, &table)?;
         plot::write(folder, &report)?;
         egotac::text::tell(format_args!("wrote {0}/retarget.md and {0}/retarget.json", folder.display()));
     }
