@@ -44,7 +44,7 @@ fn recordings_of_poses_and_of_gloves_are_imported_with_their_labels_and_trained_
 /// Checks that the contact of the imported clip is the 1 cm rule on the simulator's own surfaces.
 fn check_contact(data: &Path) {
     let store = ZarrReader::open(&only(&data.join("imported"), "hot3d_")).unwrap();
-    let rendered = ZarrReader::open(&only(data, "recorded_hot3d_")).unwrap();
+    let rendered = ZarrReader::open(&only(data, "recorded_hot3d_lift_mug_train")).unwrap();
     assert_eq!(store.len(), rendered.len());
     let got = store.read_contact(0..store.len()).unwrap();
     let known = store.read_u8(MANO_CONTACT_VALID, 0..store.len()).unwrap();

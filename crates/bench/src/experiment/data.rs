@@ -20,7 +20,9 @@ pub const CONTACT_WORLDS: [&str; 3] = ["contact_1", "contact_2", "contact_3"];
 /// Shares of a scene's episodes at which a store ends, per cent: the first n stores hold the n-th share.
 const SHARES: [usize; 4] = [10, 20, 50, 100];
 /// Worlds that are recorded in the layout of a data set.
-const RECORDED: [(&str, Layout); 2] = [("recorded_hot3d", Layout::Hot3d), ("recorded_glove", Layout::Glove)];
+pub const RECORDED_WORLDS: [&str; 2] = ["recorded_hot3d", "recorded_glove"];
+/// Their layouts.
+const LAYOUTS: [Layout; 2] = [Layout::Hot3d, Layout::Glove];
 /// Folder of the MANO-format files that stand in for MANO's, and their names.
 pub const MANO_FOLDER: &str = "mano";
 const MANO_FILES: [&str; 2] = ["MANO_LEFT.npz", "MANO_RIGHT.npz"];
@@ -68,7 +70,7 @@ impl Stores {
     pub fn recorded(folder: &Path, size: &Size) -> Result<Self> {
         let mano = MANO_FILES.map(|name| folder.join(MANO_FOLDER).join(name));
         let mut stores = Self::with_hands(folder, size, Some(mano.clone()))?;
-        for (name, layout) in RECORDED {
+        for (name, layout) in RECORDED_WORLDS.into_iter().zip(LAYOUTS) {
             let from: Vec<Recipe> = stores.world(name)?.training.iter().flatten().cloned().collect();
             let texts: String = from.iter().map(|recipe| format!("{} {}", recipe.episodes, recipe.text)).collect();
             let hash = &egotac::file::sha256(format!("{}{} {texts}", again(size), size.image).as_bytes())[..8];

@@ -126,6 +126,8 @@ pub(super) fn test_title(name: &str) -> String {
         "contact" => "known scenes, truth by distance".into(),
         "ood_force" => "new scenes, truth by force".into(),
         "ood_contact" => "new scenes, truth by distance".into(),
+        "unseen_force" => "unseen episodes of both data sets, truth by force".into(),
+        "unseen_contact" => "unseen episodes of both data sets, truth by distance".into(),
         "elsewhere_force" => "other scenes in a known look, truth by force".into(),
         "elsewhere_contact" => "other scenes in a known look, truth by distance".into(),
         name => name.replace('_', " "),
