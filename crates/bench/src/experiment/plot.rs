@@ -99,8 +99,10 @@ impl Plot {
 
 /// Returns the colour of a test, which is the same in all plots; `at`: its place in this plot.
 fn color(test: &str, at: usize) -> RGBColor {
-    const FIXED: [&str; 4] = ["force", "contact", "ood_force", "ood_contact"];
-    let place = FIXED.iter().position(|fixed| *fixed == test);
+    const FIXED: [&str; 6] = ["force", "contact", "ood_force", "ood_contact", "elsewhere_force", "elsewhere_contact"];
+    // Unseen episodes of the data sets are in the domain.
+    let known = test.strip_prefix("unseen_").unwrap_or(test);
+    let place = FIXED.iter().position(|fixed| *fixed == known);
     PALETTE[place.unwrap_or(at) % PALETTE.len()]
 }
 
