@@ -4,13 +4,15 @@ use std::collections::BTreeSet;
 
 use serde_yaml::Value;
 
+use crate::text::parse_yaml;
+
 /// Values below a key, each with what stands before its keys, where the page does not name them by their path; None = by their path.
 pub(super) type Rule = dyn for<'v> Fn(&str, &'v Value) -> Option<Vec<(&'v Value, String)>>;
 
 /// Collects the keys of YAML files as their page names them.
 pub(super) fn keys(texts: impl IntoIterator<Item = String>, rule: &Rule) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
-    texts.into_iter().for_each(|text| collect(&serde_yaml::from_str(&text).unwrap(), "", rule, &mut found));
+    texts.into_iter().for_each(|text| collect(&parse_yaml(&text).unwrap(), "", rule, &mut found));
     found
 }
 
