@@ -4,7 +4,7 @@ use crate::aligned::Aligned;
 use crate::amx::{self, Block, Kind, STEP, Sums, WIDTH};
 use crate::packed::Format;
 use crate::simd;
-use crate::tile::LANES;
+use crate::tile::{LANES, Next};
 
 /// Vectors of sums that the loop keeps in registers: enough that no multiply-add waits for the one before.
 const SUMS: usize = 12;
@@ -81,7 +81,8 @@ fn matrix(kind: Kind, rounds: usize) -> f64 {
     let lda = STEPS * STEP;
     let (a, b) = (Aligned::<u8>::zeros(amx::ROWS * lda), Aligned::<u8>::zeros(STEPS * STEP * amx::VECTORS * LANES));
     let mut sums = Sums::new();
-    let block = Block { a: a.as_ptr(), lda, b: b.as_ptr(), steps: STEPS, out: sums.start(), ldc: WIDTH };
+    let (out, next) = (sums.start(), Next::NONE);
+    let block = Block { a: a.as_ptr(), lda, b: b.as_ptr(), steps: STEPS, out, ldc: WIDTH, next };
     for _ in 0..rounds {
         // SAFETY: `a` has 32 rows of 64 x STEPS bytes, `b` 16 x STEPS lines of 128 bytes, and the sums room for the block.
         unsafe { amx::multiply(kind, &block, amx::ROWS, amx::VECTORS) };

@@ -14,6 +14,8 @@ pub const MOST_ROWS: usize = ROWS + 1;
 /// late: products of 257 x 768 x 2304 took a sixth longer.
 #[cfg(target_arch = "x86_64")]
 const AHEAD: usize = 16;
+/// Lines of a panel between two cache lines that a tile asks for in [`Tile::next`].
+pub const PERIOD: usize = 4;
 /// Tiles of one task of an attention, one below the other: they share the panel, which stays in the L1 or L2 cache between them.
 pub const TILES_PER_TASK: usize = 4;
 /// f32 values in a vector of AVX-512.
@@ -45,6 +47,55 @@ pub struct Tile<E> {
     pub cols: usize,
     /// True to add to the result instead of replacing it.
     pub add: bool,
+    /// Asked for while the tile is computed, a cache line every [`PERIOD`] lines of the panel.
+    pub next: Next,
+}
+
+/// Memory that a later tile reads: hints bring it into a core's own cache (L2) before.
+///
+/// Without them the first tile of each panel waits for memory: products of 257 rows took 5 to 14 % longer. The hints are spread over the
+/// tile; given all at once they keep the tile's own reads waiting, and gained nothing.
+#[derive(Debug, Clone, Copy)]
+pub struct Next {
+    at: *const u8,
+    step: usize,
+}
+
+/// Bytes of a cache line.
+const LINE: usize = 64;
+static NOWHERE: [u8; LINE] = [0; LINE];
+
+impl Next {
+    /// Nothing: the hints name a line that is in the cache already. A null pointer would make the processor search for its page.
+    pub const NONE: Self = Self { at: (&raw const NOWHERE).cast(), step: 0 };
+
+    /// The share of `values` that a tile with `hints` hints asks for after `before` tiles like it; nothing once all values were asked for.
+    pub fn share<T>(values: &[T], hints: usize, before: usize) -> Self {
+        let from = before * hints * LINE;
+        match from < size_of_val(values) {
+            true => Self { at: values.as_ptr().cast::<u8>().wrapping_add(from), step: LINE },
+            false => Self::NONE,
+        }
+    }
+
+    /// First byte.
+    pub fn at(self) -> *const u8 {
+        self.at
+    }
+
+    /// Bytes from one hint to the next; 0 if nothing is to come.
+    pub fn step(self) -> usize {
+        self.step
+    }
+
+    /// Asks for the cache line of hint `index`. Hints never fault, so one beyond the end does no harm.
+    #[cfg(target_arch = "x86_64")]
+    #[inline]
+    #[target_feature(enable = "sse")]
+    pub fn hint(self, index: usize) {
+        use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
+        _mm_prefetch::<_MM_HINT_T1>(self.at.wrapping_add(index * self.step).cast());
+    }
 }
 
 /// Number of tiles that `rows` rows are split into by [`part`].
@@ -216,7 +267,7 @@ unsafe fn avx2<E: Weight, const R: usize, const W: usize>(tile: &Tile<E>, row: u
         _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_set1_ps, _mm256_setzero_ps, _mm256_storeu_ps,
     };
     const HALF: usize = LANES / 2;
-    let Tile { a, lda, b, k, bias, out, ldc, cols, add } = *tile;
+    let Tile { a, lda, b, k, bias, out, ldc, cols, add, .. } = *tile;
     let mut sums = [[_mm256_setzero_ps(); W]; R];
     for i in 0..k {
         let mut line = [_mm256_setzero_ps(); W];
@@ -274,9 +325,12 @@ unsafe fn avx512<E: Weight, const R: usize, const V: usize>(tile: &Tile<E>) {
         _MM_HINT_T0, _mm_prefetch, _mm512_add_ps, _mm512_fmadd_ps, _mm512_mask_storeu_ps, _mm512_maskz_loadu_ps,
         _mm512_set1_ps, _mm512_setzero_ps,
     };
-    let Tile { a, lda, b, k, bias, out, ldc, cols, add } = *tile;
+    let Tile { a, lda, b, k, bias, out, ldc, cols, add, next } = *tile;
     let mut sums = [[_mm512_setzero_ps(); V]; R];
     for i in 0..k {
+        if i % PERIOD == 0 {
+            next.hint(i / PERIOD);
+        }
         let mut line = [_mm512_setzero_ps(); V];
         for (v, vector) in line.iter_mut().enumerate() {
             // SAFETY: line i < k of the panel, vector v < V: inside the k x V vectors that the caller guarantees.
@@ -317,7 +371,7 @@ unsafe fn avx512<E: Weight, const R: usize, const V: usize>(tile: &Tile<E>) {
 /// # Safety
 /// As [`compute`].
 unsafe fn portable<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
-    let Tile { a, lda, b, k, bias, out, ldc, cols, add } = *tile;
+    let Tile { a, lda, b, k, bias, out, ldc, cols, add, .. } = *tile;
     // SAFETY: the caller guarantees a panel of k x 16 `vectors` weights, which nobody changes during the call.
     let panel = unsafe { std::slice::from_raw_parts(b, k * vectors * LANES) };
     // SAFETY: not null, so the caller guarantees `cols` biases, which nobody changes during the call.
@@ -352,6 +406,24 @@ mod tests {
 
     /// A way to compute a tile of f32 and of bf16 weights.
     type Form = (unsafe fn(&Tile<f32>, usize, usize), unsafe fn(&Tile<u16>, usize, usize));
+
+    #[test]
+    fn the_shares_of_successive_tiles_ask_for_each_cache_line_of_a_panel_once() {
+        let panel = vec![0u8; 1000 * LINE + 7];
+        let hints = 96;
+        let mut asked = vec![0; 1001];
+        for before in 0..40 {
+            let Next { at, step } = Next::share(&panel, hints, before);
+            for hint in (0..hints).filter(|_| step > 0) {
+                let line = (at.addr() - panel.as_ptr().addr()) / LINE + hint;
+                // A hint beyond the end does no harm.
+                if let Some(count) = asked.get_mut(line) {
+                    *count += 1;
+                }
+            }
+        }
+        assert!(asked.iter().all(|count| *count == 1), "{asked:?}");
+    }
 
     #[test]
     fn tiles_cover_all_rows_once_and_none_has_a_single_row() {
@@ -400,9 +472,10 @@ mod tests {
                     ldc,
                     cols,
                     add,
+                    next: Next::NONE,
                 };
-                let with_half =
-                    Tile { b: half.as_ptr(), a: base.a, lda, k, bias: base.bias, out: base.out, ldc, cols, add };
+                let Tile { a: x, bias: terms, out: at, next, .. } = base;
+                let with_half = Tile { b: half.as_ptr(), a: x, lda, k, bias: terms, out: at, ldc, cols, add, next };
                 // SAFETY: the slices have the sizes that the tile states, and this thread alone uses `out`.
                 unsafe {
                     match bf16 {

@@ -3,7 +3,7 @@
 //! All forms give the same bits: integer sums are exact, and the conversion to f32 takes the same steps.
 
 use crate::simd;
-use crate::tile::{LANES, VECTORS};
+use crate::tile::{LANES, Next, PERIOD, VECTORS};
 
 /// Activations that one lane of `vpdpbusd` multiplies and adds at once.
 pub const GROUP: usize = 4;
@@ -37,6 +37,8 @@ pub struct Tile8 {
     pub cols: usize,
     /// True to add to the result instead of replacing it.
     pub add: bool,
+    /// Asked for while the tile is computed, a cache line every [`PERIOD`] groups of the panel.
+    pub next: Next,
 }
 
 /// Computes a tile of `rows` rows and `vectors` vectors of columns.
@@ -166,9 +168,12 @@ unsafe fn vnni<const R: usize, const V: usize>(tile: &Tile8) {
         _mm512_mask_storeu_ps, _mm512_maskz_loadu_epi32, _mm512_maskz_loadu_ps, _mm512_mul_ps, _mm512_mullo_epi32,
         _mm512_set1_epi32, _mm512_set1_ps, _mm512_setzero_si512, _mm512_sub_epi32,
     };
-    let Tile8 { a, lda, b, k, rows, scales, sums, bias, out, ldc, cols, add } = *tile;
+    let Tile8 { a, lda, b, k, rows, scales, sums, bias, out, ldc, cols, add, next } = *tile;
     let mut total = [[_mm512_setzero_si512(); V]; R];
     for i in 0..k {
+        if i % PERIOD == 0 {
+            next.hint(i / PERIOD);
+        }
         let mut line = [_mm512_setzero_si512(); V];
         for (v, vector) in line.iter_mut().enumerate() {
             // SAFETY: group i < k of the panel, vector v < V: inside the bytes that the caller guarantees.
@@ -295,6 +300,7 @@ mod tests {
                         ldc,
                         cols,
                         add,
+                        next: Next::NONE,
                     };
                     // SAFETY: the slices have the sizes that the tile states, and this thread alone uses `out`.
                     unsafe {

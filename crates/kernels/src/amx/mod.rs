@@ -14,7 +14,7 @@ mod unit;
 
 pub use finish::{Finish, Scales, finish, scale};
 
-use crate::tile::LANES;
+use crate::tile::{LANES, Next};
 
 /// Rows of a tile.
 const TILE_ROWS: usize = 16;
@@ -26,6 +26,8 @@ pub const VECTORS: usize = 2;
 pub const STEP: usize = 64;
 /// Bytes of a word.
 pub const WORD: usize = 4;
+/// Cache lines that each step of a block asks for in [`Block::next`].
+pub const HINTS: usize = 4;
 /// Sums in a row of [`Sums`].
 pub const WIDTH: usize = VECTORS * LANES;
 
@@ -53,6 +55,8 @@ pub struct Block {
     pub out: *mut f32,
     /// Values from one row of the result to the next.
     pub ldc: usize,
+    /// Asked for while the block is computed, [`HINTS`] cache lines in each step.
+    pub next: Next,
 }
 
 /// Room for the result of a block, in rows of [`WIDTH`].
@@ -138,7 +142,7 @@ pub fn release() {
 /// # Safety
 /// As [`multiply`].
 unsafe fn portable(kind: Kind, block: &Block, rows: usize, vectors: usize) {
-    let Block { a, lda, b, steps, out, ldc } = *block;
+    let Block { a, lda, b, steps, out, ldc, .. } = *block;
     let words = steps * STEP / WORD;
     // SAFETY: the caller guarantees 16 lines of 64 `vectors` bytes for each step, which nobody changes during the call.
     let panel = unsafe { std::slice::from_raw_parts(b, words * vectors * STEP) };
@@ -213,7 +217,8 @@ mod tests {
             let (a, b) = (operand(kind, rows * lda, 3), operand(kind, steps * TILE_ROWS * vectors * STEP, 5));
             for form in [multiply, portable] {
                 let mut sums = Sums::new();
-                let block = Block { a: a.as_ptr(), lda, b: b.as_ptr(), steps, out: sums.start(), ldc: WIDTH };
+                let next = Next::share(&b, HINTS * steps, 0);
+                let block = Block { a: a.as_ptr(), lda, b: b.as_ptr(), steps, out: sums.start(), ldc: WIDTH, next };
                 // SAFETY: the arrays have the sizes that the block states.
                 unsafe { form(kind, &block, rows, vectors) };
                 for (r, c) in (0..rows).flat_map(|r| (0..vectors * LANES).map(move |c| (r, c))) {

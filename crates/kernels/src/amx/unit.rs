@@ -4,7 +4,7 @@ use std::arch::asm;
 use std::arch::x86_64::{__cpuid, __cpuid_count};
 use std::cell::Cell;
 
-use super::{Block, Kind, STEP, TILE_ROWS, WORD};
+use super::{Block, HINTS, Kind, STEP, TILE_ROWS, WORD};
 
 thread_local! {
     /// Rows of the blocks that this thread's tiles have the shapes for; 0 for none. The shapes last from block to block, since
@@ -91,6 +91,11 @@ pub unsafe fn multiply(kind: Kind, block: &Block, rows: usize, vectors: usize) {
                     $($clear,)*
                     "2:",
                     $($step,)*
+                    "prefetcht1 [{next}]",
+                    "prefetcht1 [{next} + 64]",
+                    "prefetcht1 [{next} + 128]",
+                    "prefetcht1 [{next} + 192]",
+                    "add {next}, {hints}",
                     "add {a}, 64",
                     "add {a2}, 64",
                     "add {b}, {lines}",
@@ -102,6 +107,8 @@ pub unsafe fn multiply(kind: Kind, block: &Block, rows: usize, vectors: usize) {
                     a2 = inout(reg) block.a.wrapping_add(first * block.lda) => _,
                     b = inout(reg) block.b => _,
                     steps = inout(reg) block.steps => _,
+                    next = inout(reg) block.next.at() => _,
+                    hints = in(reg) HINTS * block.next.step(),
                     lda = in(reg) block.lda,
                     line = in(reg) line,
                     lines = in(reg) TILE_ROWS * line,

@@ -6,7 +6,7 @@ use crate::aligned::{Aligned, grow};
 use crate::rows::Rows;
 use crate::simd;
 use crate::team;
-use crate::tile::{self, LANES, MOST_ROWS, TILES_PER_TASK, Tile, VECTORS};
+use crate::tile::{self, LANES, MOST_ROWS, Next, TILES_PER_TASK, Tile, VECTORS};
 
 /// Packed keys and values.
 #[derive(Debug, Clone)]
@@ -89,6 +89,7 @@ impl Lines {
                 ldc: wide_n,
                 cols: vectors * LANES,
                 add: false,
+                next: Next::NONE,
             };
             // SAFETY: the slice `queries` ends with the last query; the panel has `size` lines of `vectors` vectors, since
             // `keys` is padded to whole vectors; `scores` has MOST_ROWS rows of `wide_n` values and belongs to this thread.
@@ -117,6 +118,7 @@ impl Lines {
                 ldc: stride,
                 cols,
                 add: false,
+                next: Next::NONE,
             };
             // SAFETY: `scores` has `rows` rows of n values, the panel n lines of `vectors` vectors. `out` has n rows of d columns;
             // each (head, rows) pair, and with it this tile, occurs in one task only.

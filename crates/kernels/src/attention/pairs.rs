@@ -9,7 +9,7 @@ use crate::quantise::halve_row;
 use crate::rows::part;
 use crate::simd;
 use crate::team;
-use crate::tile::LANES;
+use crate::tile::{LANES, Next};
 
 /// bf16 values to a multiple of which the operands are padded with zeros.
 const HALVES: usize = STEP / PAIR;
@@ -100,6 +100,7 @@ impl Pairs {
                 steps: padded_size / HALVES,
                 out: scores[first..].as_mut_ptr(),
                 ldc: wide_n,
+                next: Next::NONE,
             };
             // SAFETY: `a` has `rows` rows of `padded_size` values, in `queries` or in `halves`; the panel has `key_lines` lines of
             // `vectors` vectors of words; `scores` has amx::ROWS rows of `wide_n` values and belongs to this thread.
@@ -126,6 +127,7 @@ impl Pairs {
                 steps: padded_n / HALVES,
                 out: sums.start(),
                 ldc: amx::WIDTH,
+                next: Next::NONE,
             };
             // SAFETY: `halves` has `rows` rows of `padded_n` values, the panel `value_lines` lines of `vectors` vectors of
             // words; `rows` and `vectors` are within what the sums have room for.

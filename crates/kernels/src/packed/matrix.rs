@@ -2,7 +2,7 @@
 
 use super::{PAIR, Packed, Place, Weights, fits};
 use crate::activations::Input;
-use crate::amx::{self, Block, Finish, Kind, STEP, Scales, Sums};
+use crate::amx::{self, Block, Finish, HINTS, Kind, STEP, Scales, Sums};
 use crate::tile::LANES;
 
 impl Packed {
@@ -20,25 +20,28 @@ impl Packed {
     /// Multiplies the rows and the panel of a tile in the matrix unit.
     fn multiply(&self, x: Input, place: &Place, sums: &mut Sums) {
         let Place { row, rows, panel, .. } = *place;
-        let (first, width) = (panel.start(), panel.width());
-        let (kind, a, lda, b, steps) = match (&self.weights, x) {
+        let (kind, a, lda, b, steps, next) = match (&self.weights, x) {
             (Weights::Pairs(weights), Input::Halves(halves, lda)) => {
                 let padded = self.k.next_multiple_of(STEP / PAIR);
                 let halves = &halves[row * lda..];
                 assert!(fits(rows, lda, padded, halves.len()), "the halved rows leave their slice");
-                let panel = &weights[first * padded..(first + width) * padded];
-                (Kind::Half, halves.as_ptr().cast(), lda * PAIR, panel.as_ptr().cast(), padded * PAIR / STEP)
+                let panel = panel.of(weights, padded);
+                let steps = padded * PAIR / STEP;
+                let next = place.ask(weights, padded, HINTS * steps);
+                (Kind::Half, halves.as_ptr().cast(), lda * PAIR, panel.as_ptr().cast(), steps, next)
             }
             (Weights::Int8 { weights, .. }, Input::Bytes(bytes, lda, _)) => {
                 let padded = self.k.next_multiple_of(STEP);
                 let bytes = &bytes[row * lda..];
                 assert!(fits(rows, lda, padded, bytes.len()), "the quantised rows leave their slice");
-                let panel = &weights[first * padded..(first + width) * padded];
-                (Kind::Byte, bytes.as_ptr(), lda, panel.as_ptr().cast(), padded / STEP)
+                let panel = panel.of(weights, padded);
+                let steps = padded / STEP;
+                let next = place.ask(weights, padded, HINTS * steps);
+                (Kind::Byte, bytes.as_ptr(), lda, panel.as_ptr().cast(), steps, next)
             }
             _ => panic!("the rows have another form than the layer reads"),
         };
-        let block = Block { a, lda, b, steps, out: sums.start(), ldc: amx::WIDTH };
+        let block = Block { a, lda, b, steps, out: sums.start(), ldc: amx::WIDTH, next };
         // SAFETY: the assertions cover the rows, and the slices the panel; a half has two bytes. `Unit::tiles` gives blocks of at
         // most `amx::ROWS` rows and `Unit::vectors` panels of at most `amx::VECTORS`, for which the sums have room.
         unsafe { amx::multiply(kind, &block, rows, panel.vectors) };
@@ -46,7 +49,7 @@ impl Packed {
 
     /// Writes the result of a tile from its sums.
     fn finish(&self, x: Input, place: &Place, sums: &mut Sums) {
-        let Place { row, rows, panel, out, stride, then } = *place;
+        let Place { row, rows, panel, out, stride, then, .. } = *place;
         let scales = match (&self.weights, x) {
             (Weights::Int8 { scales, sums, .. }, Input::Bytes(_, _, of_rows)) => Some(Scales {
                 rows: &of_rows[row..row + rows],

@@ -13,7 +13,7 @@ use crate::amx::{self, STEP};
 use crate::quantise::{bf16, quantise_weights};
 use crate::rows::{Rows, part};
 use crate::team;
-use crate::tile::{self, LANES, VECTORS};
+use crate::tile::{self, LANES, Next, VECTORS};
 use crate::tile8::GROUP;
 
 /// Multiply-adds below which one thread computes the whole product: handing tasks to others would take longer.
@@ -21,9 +21,9 @@ const SMALL: usize = 1 << 17;
 /// Least number of tasks that a product is split into, as far as its panels allow: with many small tasks, a thread that
 /// the system suspends holds up little work.
 const TASKS: usize = 16;
-/// Bytes of activations that a task goes through for one panel: they stay in a core's own cache, beside the panel, until the
-/// next panel needs them again.
-const CACHE: usize = 1 << 20;
+/// Bytes of activations that a task goes through for one panel: they stay in a core's own cache, beside this panel and the next,
+/// until the next panel needs them again.
+const CACHE: usize = 1 << 19;
 /// Values in bf16 that the matrix unit multiplies and adds at once.
 pub(crate) const PAIR: usize = 2;
 
@@ -113,6 +113,11 @@ impl Panel {
     fn width(self) -> usize {
         self.vectors * LANES
     }
+
+    /// Its part of the packed weights, with `inputs` weights of each output.
+    fn of<T>(self, weights: &[T], inputs: usize) -> &[T] {
+        &weights[self.start() * inputs..(self.start() + self.width()) * inputs]
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -141,6 +146,16 @@ struct Place {
     out: Target,
     stride: usize,
     then: Then,
+    /// Panel that this thread needs next, if there is one, and tiles of the present panel that it has computed.
+    next: Option<Panel>,
+    before: usize,
+}
+
+impl Place {
+    /// Returns the part of the next panel that this tile asks for with `hints` hints. `inputs`: weights of each output.
+    fn ask<T>(&self, weights: &[T], inputs: usize, hints: usize) -> Next {
+        self.next.map_or(Next::NONE, |next| Next::share(next.of(weights, inputs), hints, self.before))
+    }
 }
 
 impl Packed {
@@ -263,13 +278,21 @@ impl Packed {
         let tiles = self.unit.tiles(rows);
         let bytes = rows * self.k * bytes_per_input;
         let blocks = TASKS.div_ceil(self.panels.len()).max(bytes.div_ceil(CACHE)).min(tiles);
+        let threads = team::threads();
         let task = |index: usize| {
             // Consecutive tasks have the same panel.
             let (panel, block) = (self.panels[index / blocks], index % blocks);
             let (first, count) = part(block, blocks, tiles);
+            // Threads take tasks in turn: each needs the next panel, or skips those that the others take.
+            let (skipped, done) = match blocks < threads {
+                true => (threads / blocks, 0),
+                false => (1, block / threads * count),
+            };
+            let next = self.panels.get(index / blocks + skipped).copied();
             let places = (first..first + count).map(|tile| {
                 let (row, rows) = part(tile, tiles, rows);
-                Place { row, rows, panel, out: out.at(row * stride + panel.start()), stride, then }
+                let out = out.at(row * stride + panel.start());
+                Place { row, rows, panel, out, stride, then, next, before: done + tile - first }
             });
             match self.unit {
                 Unit::Vectors => places.for_each(|place| self.tile(x, &place)),

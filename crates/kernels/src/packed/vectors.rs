@@ -5,7 +5,7 @@ use crate::activations::{Input, Target};
 use crate::amx::STEP;
 use crate::rows::Rows;
 use crate::simd;
-use crate::tile::{self, LANES, Tile, Weight};
+use crate::tile::{self, LANES, PERIOD, Tile, Weight};
 use crate::tile8::{self, GROUP, Tile8};
 
 /// Parts of [`Weights::Int8`].
@@ -51,9 +51,10 @@ impl Packed {
         let (out, add) = (place.floats(), then == Then::Add);
         let (k, first, cols) = (self.k, panel.start(), self.cols(panel));
         let a = &x.data[row * x.stride..(row + rows - 1) * x.stride + k];
-        let b = &weights[first * k..(first + panel.width()) * k];
+        let b = panel.of(weights, k);
         let bias = self.bias[first..first + cols].as_ptr();
-        let tile = Tile { a: a.as_ptr(), lda: x.stride, b: b.as_ptr(), k, bias, out, ldc: stride, cols, add };
+        let next = place.ask(weights, k, k.div_ceil(PERIOD));
+        let tile = Tile { a: a.as_ptr(), lda: x.stride, b: b.as_ptr(), k, bias, out, ldc: stride, cols, add, next };
         // SAFETY: the slices `a`, `b` and the bias hold what the tile reads. The result has these rows and columns, and each tile
         // and panel occur in one task only.
         unsafe { tile::compute(&tile, rows, panel.vectors) };
@@ -66,11 +67,12 @@ impl Packed {
         let padded = self.k.next_multiple_of(STEP);
         let (bytes, of_rows) = (&bytes[row * lda..], &of_rows[row..row + rows]);
         assert!(fits(rows, lda, padded, bytes.len()), "the quantised rows leave their slice");
+        let groups = self.k.div_ceil(GROUP);
         let tile = Tile8 {
             a: bytes.as_ptr(),
             lda,
-            b: of.weights[first * padded..(first + panel.width()) * padded].as_ptr(),
-            k: self.k.div_ceil(GROUP),
+            b: panel.of(of.weights, padded).as_ptr(),
+            k: groups,
             rows: of_rows.as_ptr(),
             scales: of.scales[first..first + cols].as_ptr(),
             sums: of.sums[first..first + cols].as_ptr(),
@@ -79,6 +81,7 @@ impl Packed {
             ldc: stride,
             cols,
             add,
+            next: place.ask(of.weights, padded, groups.div_ceil(PERIOD)),
         };
         // SAFETY: the assertion and the slices above cover what the tile reads; `of_rows` has `rows` entries. The result has these
         // rows and columns, and no other task has this tile.

@@ -41,6 +41,11 @@ impl Drop for End<'_> {
     }
 }
 
+/// Number of threads that share the steps of [`run`] on this thread.
+pub fn threads() -> usize {
+    if LEADS.get().is_null() { 1 } else { rayon::current_num_threads() }
+}
+
 /// Runs `task(0)` to `task(count - 1)`, each once and in any order, on the team that this thread leads; on this thread
 /// alone if it leads none.
 pub fn run(count: usize, task: impl Fn(usize) + Sync) {
