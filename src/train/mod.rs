@@ -20,6 +20,7 @@ pub mod keypoints;
 mod loader;
 mod log;
 pub mod loss;
+pub mod memory;
 mod mixture;
 pub mod optimizer;
 pub mod param;
@@ -169,6 +170,7 @@ pub fn train_on(
     device: &Device,
     observe: &mut dyn FnMut(Event) -> Control,
 ) -> Result<Option<Outcome>> {
+    memory::keep(true);
     let outcome = run_steps(ranks, config, resume, device, observe);
     if let Err(error) = &outcome {
         ranks.abort(error);

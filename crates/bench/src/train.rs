@@ -13,6 +13,7 @@ use egotac::text::put;
 use egotac::train::batch::{Batch, FrameKey};
 use egotac::train::config::LossWeights;
 use egotac::train::fixed_encoder::FixedEncoder;
+use egotac::train::memory;
 use egotac::train::optimizer::AdamW;
 use egotac::train::pass::Pass;
 use rand::{Rng, SeedableRng};
@@ -143,6 +144,7 @@ pub fn measure(
     peer: Option<(&str, usize)>,
     mut progress: impl FnMut(&str),
 ) -> Result<TrainReport> {
+    memory::keep(true);
     let mut rows = Vec::new();
     for preset in presets {
         let geometry = Config::preset(preset)?;

@@ -21,8 +21,8 @@ use crate::node::log::Log;
 use crate::node::params::Parameters;
 use crate::node::publisher::Publisher;
 use crate::node::runtime::Runtime;
-use crate::train::Outcome;
 use crate::train::job::{self, Job};
+use crate::train::{Outcome, memory};
 
 /// Serves goals, one at a time.
 pub(super) struct GoalServer {
@@ -32,8 +32,6 @@ pub(super) struct GoalServer {
     parameters: Arc<Parameters>,
     progress: Arc<Mutex<Progress>>,
     active: Option<ActiveGoal>,
-    /// Tells the allocator to keep freed memory, or to return it at once.
-    keep_memory: fn(bool),
     log: Log,
 }
 
@@ -63,18 +61,17 @@ enum Cause {
 type CancelRequests = Box<dyn Stream<Item = ActionServerCancelRequest> + Unpin>;
 
 impl GoalServer {
-    /// Live goals train on the episodes of `ring`; runs without a folder go below `folder`. The allocator keeps freed memory
-    /// (`keep_memory`) while a goal trains.
+    /// Live goals train on the episodes of `ring`; runs without a folder go below `folder`. The allocator keeps freed memory only
+    /// while a goal trains.
     pub(super) fn new(
         ring: SharedRing,
         folder: PathBuf,
         device: Device,
         parameters: Arc<Parameters>,
-        keep_memory: fn(bool),
         log: Log,
     ) -> Self {
-        keep_memory(false);
-        Self { ring, folder, device, parameters, progress: Arc::default(), active: None, keep_memory, log }
+        memory::keep(false);
+        Self { ring, folder, device, parameters, progress: Arc::default(), active: None, log }
     }
 
     /// Stops the active goal, waits until its state is saved, and aborts it with a result. Returns true if there was one.
@@ -122,13 +119,11 @@ impl GoalServer {
                 lock(&progress).update(&event);
             })
         };
-        (self.keep_memory)(true);
         match std::thread::Builder::new().name("training".into()).spawn(work) {
             Ok(thread) => {
                 self.active = Some(ActiveGoal { goal, cancel_requests, cause: Cause::Itself, is_live, stop, thread });
             }
             Err(error) => {
-                (self.keep_memory)(false);
                 let message = format!("cannot start the training thread: {error}");
                 self.log.error(message.clone());
                 drop(goal.abort(Train::Result { message, ..Train::Result::default() }));
@@ -167,7 +162,7 @@ impl GoalServer {
             Ok(outcome) => outcome.map_err(|error| error.to_string()),
             Err(_) => Err("the training thread panicked".to_owned()),
         };
-        (self.keep_memory)(false);
+        memory::keep(false);
         // The last round of a live goal has the same weights.
         self.finish(goal, cause, outcome).filter(|_| !is_live)
     }

@@ -34,12 +34,9 @@ const GOODBYE_TIME: Duration = Duration::from_millis(300);
 /// Longest wait for the response of the service `notify`, which loads and runs the checkpoint first.
 const NOTIFY_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Runs the program `egotac_trainer`. `keep_memory` tells the program's allocator to keep freed memory (true: while a network
-/// trains, which takes and gives back large tensors in each step), or to return it to the system at once (false).
-pub fn main(keep_memory: fn(bool)) -> ExitCode {
-    program::run("trainer", "Trains networks on stores and on live topics.", parameters(), |runtime, shutdown| {
-        run(runtime, shutdown, keep_memory)
-    })
+/// Runs the program `egotac_trainer`.
+pub fn main() -> ExitCode {
+    program::run("trainer", "Trains networks on stores and on live topics.", parameters(), run)
 }
 
 /// Parameters of the node.
@@ -109,7 +106,7 @@ fn parameters() -> Vec<Parameter> {
 ///
 /// # Errors
 /// If ROS refuses a topic or the action, or the folder cannot be written.
-fn run(mut runtime: Runtime, shutdown: &Shutdown, keep_memory: fn(bool)) -> anyhow::Result<()> {
+fn run(mut runtime: Runtime, shutdown: &Shutdown) -> anyhow::Result<()> {
     let parameters = Arc::clone(runtime.parameters());
     let folder = PathBuf::from(parameters.get::<String>("folder"));
     let device = device::open(&parameters)?;
@@ -128,7 +125,7 @@ fn run(mut runtime: Runtime, shutdown: &Shutdown, keep_memory: fn(bool)) -> anyh
     let (recorder, ring, writer) =
         EpisodeRecorder::open(&folder.join("live"), limits, images, runtime.log(), shutdown)?;
     subscribe(&mut runtime, recorder, &tally)?;
-    let server = GoalServer::new(ring, folder, device, parameters, keep_memory, runtime.log().clone());
+    let server = GoalServer::new(ring, folder, device, parameters, runtime.log().clone());
     let server = Rc::new(RefCell::new(server));
     serve_goals(&mut runtime, &server)?;
     serve_set_enabled(&mut runtime)?;

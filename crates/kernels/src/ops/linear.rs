@@ -4,7 +4,7 @@ use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::cpu::{self, Operand, Operation};
-use super::matrix::{Mat, MatMut, Onto, Threads, multiply};
+use super::matrix::{Mat, MatMut, Onto, Threads, multiply, product};
 use crate::simd;
 
 /// Largest number of rows for which reading the weights once per row is faster than packing them for a matrix product.
@@ -62,7 +62,7 @@ pub fn forward(x: &[f32], weight: &[f32], bias: &[f32], k: usize) -> Vec<f32> {
 pub fn input_gradient(grad: &[f32], weight: &[f32], x: &Tensor) -> Result<Vec<f32>> {
     let k = x.layout().shape().dims().last().copied().unwrap_or(1).max(1);
     let (rows, n) = (x.elem_count() / k, weight.len() / k);
-    Ok(product(rows, k, Mat::new(grad, rows, n, n), Mat::new(weight, n, k, k)))
+    Ok(product(Mat::new(grad, rows, n, n), Mat::new(weight, n, k, k)))
 }
 
 /// Returns the gradients of weight and bias; `None` for one that is not a variable.
@@ -71,7 +71,7 @@ pub fn parameter_gradients(x: &[f32], weight: &Tensor, bias: &Tensor, grad: &[f3
     let rows = x.len() / k.max(1);
     let dweight = weight
         .track_op()
-        .then(|| cpu::tensor_like(product(n, k, Mat::new(grad, rows, n, n).t(), Mat::new(x, rows, k, k)), weight));
+        .then(|| cpu::tensor_like(product(Mat::new(grad, rows, n, n).t(), Mat::new(x, rows, k, k)), weight));
     let dbias = bias.track_op().then(|| {
         let [sum] = cpu::sum_rows(rows, n, |rows, [sum]| {
             simd::dispatch(
@@ -86,13 +86,6 @@ pub fn parameter_gradients(x: &[f32], weight: &Tensor, bias: &Tensor, grad: &[f3
         cpu::tensor_like(sum, bias)
     });
     Ok([dweight.transpose()?, dbias.transpose()?])
-}
-
-/// Returns a matrix product, computed on all threads.
-fn product(rows: usize, cols: usize, lhs: Mat, rhs: Mat) -> Vec<f32> {
-    let mut out = cpu::filled(rows * cols, cpu::CHUNK, |_, _| {});
-    multiply(MatMut::new(&mut out, rows, cols, cols), Onto::Nothing, 1.0, lhs, rhs, Threads::All);
-    out
 }
 
 /// Writes the bias into every row, and adds one matrix product.

@@ -62,34 +62,67 @@ pub enum Threads {
 /// # Panics
 /// If the shapes don't fit each other or their slices.
 pub fn multiply(out: MatMut, onto: Onto, scale: f32, lhs: Mat, rhs: Mat, threads: Threads) {
-    let (m, k, n) = (lhs.rows, lhs.cols, rhs.cols);
-    assert_eq!((rhs.rows, out.rows, out.cols), (k, m, n), "shapes of a matrix product");
-    if m == 0 || n == 0 {
+    let MatMut { data, rows, cols, stride } = out;
+    assert_eq!((rows, cols), (lhs.rows, rhs.cols), "shapes of a matrix product");
+    if rows == 0 || cols == 0 {
         return;
     }
-    let inside = |rows: usize, cols: usize, row_stride: usize, col_stride: usize, len: usize| {
-        rows == 0 || cols == 0 || (rows - 1) * row_stride + (cols - 1) * col_stride < len
+    assert!(cols <= stride || rows == 1, "rows of the result overlap");
+    assert!((rows - 1) * stride + cols <= data.len(), "the result leaves its slice");
+    // SAFETY: the assertions place the rows of the result inside its slice and keep them apart; the slice is initialised, and its
+    // exclusive borrow separates it from both sides.
+    unsafe { write(data.as_mut_ptr(), stride, onto, scale, lhs, rhs, threads) }
+}
+
+/// Returns the product, computed on all threads.
+///
+/// # Panics
+/// If the shapes don't fit each other or their slices.
+pub fn product(lhs: Mat, rhs: Mat) -> Vec<f32> {
+    let (rows, cols) = (lhs.rows, rhs.cols);
+    let mut out: Vec<f32> = Vec::with_capacity(rows * cols);
+    if rows > 0 && cols > 0 {
+        // SAFETY: the vector has room for `rows` x `cols` values, which nothing else uses and which need no values before.
+        unsafe { write(out.as_mut_ptr(), cols, Onto::Nothing, 1.0, lhs, rhs, Threads::All) };
+    }
+    // SAFETY: the capacity is at least `rows` x `cols`, and `write` has written all of them.
+    unsafe { out.set_len(rows * cols) };
+    out
+}
+
+/// Writes all values of a product with at least one row and one column.
+///
+/// # Panics
+/// If the shapes of the sides don't fit each other or their slices.
+///
+/// # Safety
+/// Rows of the result, `stride` apart, can be written at `out`, don't overlap, and are used by nothing else; with [`Onto::Existing`] they
+/// hold values.
+unsafe fn write(out: *mut f32, stride: usize, onto: Onto, scale: f32, lhs: Mat, rhs: Mat, threads: Threads) {
+    let (m, k, n) = (lhs.rows, lhs.cols, rhs.cols);
+    assert_eq!(rhs.rows, k, "shapes of a matrix product");
+    let inside = |side: Mat| {
+        side.rows == 0 || side.cols == 0 || {
+            (side.rows - 1) * side.row_stride + (side.cols - 1) * side.col_stride < side.data.len()
+        }
     };
-    assert!(n <= out.stride || m == 1, "rows of the result overlap");
-    assert!(inside(m, n, out.stride, 1, out.data.len()), "the result leaves its slice");
-    assert!(inside(m, k, lhs.row_stride, lhs.col_stride, lhs.data.len()), "the left side leaves its slice");
-    assert!(inside(k, n, rhs.row_stride, rhs.col_stride, rhs.data.len()), "the right side leaves its slice");
+    assert!(inside(lhs), "the left side leaves its slice");
+    assert!(inside(rhs), "the right side leaves its slice");
     let parallelism = match threads {
         Threads::One => Parallelism::None,
         Threads::All => Parallelism::Rayon(0),
     };
     let existing = if onto == Onto::Existing { 1.0 } else { 0.0 };
-    // SAFETY: `gemm` reads and writes exactly the values that sizes and strides address. The assertions above place all of
-    // them inside their slices and keep the rows of the result apart; the exclusive borrow of the result separates it from
-    // both sides.
+    // SAFETY: `gemm` reads and writes exactly the values that sizes and strides address, and without `existing` writes all of the
+    // result before it reads any. The assertions above place both sides inside their slices; the result is as the caller guarantees.
     unsafe {
         gemm::gemm(
             m,
             n,
             k,
-            out.data.as_mut_ptr(),
+            out,
             1,
-            out.stride as isize,
+            stride as isize,
             onto == Onto::Existing,
             lhs.data.as_ptr(),
             lhs.col_stride as isize,
@@ -126,6 +159,15 @@ mod tests {
                 assert!((got - want).abs() < 1e-5, "({i}, {j}): {got} for {want}");
             }
         }
+    }
+
+    #[test]
+    fn a_new_product_has_all_its_values_even_without_terms() {
+        let (a, b) = ([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [1.0, -1.0, 0.5, 2.0, 0.0, 1.0]);
+        let got = product(Mat::new(&a, 2, 3, 3), Mat::new(&b, 3, 2, 2));
+        assert_eq!(got, [2.0, 6.0, 6.5, 12.0]);
+        assert_eq!(product(Mat::new(&[], 2, 0, 0), Mat::new(&[], 0, 3, 3)), [0.0; 6]);
+        assert!(product(Mat::new(&[], 0, 3, 3), Mat::new(&b, 3, 2, 2)).is_empty());
     }
 
     #[test]
