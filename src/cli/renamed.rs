@@ -6,7 +6,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 /// Renamed options: command, old spelling, new spelling. An old spelling without dashes stands for positional arguments.
 #[doc(hidden)]
-pub const RENAMED: [(&str, &str, &str); 18] = [
+pub const RENAMED: [(&str, &str, &str); 19] = [
     ("verify", "--predictor", "--checkpoint"),
     ("demo", "--model", "--checkpoint"),
     ("model forward", "--weights", "--checkpoint"),
@@ -25,6 +25,7 @@ pub const RENAMED: [(&str, &str, &str); 18] = [
     ("experiment", "--init", "--checkpoint"),
     ("experiment", "--image", "--size"),
     ("bench model", "--image", "--size"),
+    ("bench guards", "--out", "--json FILE"),
 ];
 
 /// Returns `error`, or in place of an unknown option or argument that was renamed, an error that names the new spelling. `arguments` begin

@@ -225,18 +225,13 @@ impl Report {
     ///
     /// # Errors
     /// If a file can't be written.
-    pub fn write(&self, folder: &Path) -> anyhow::Result<()> {
-        egotac::file::write(&folder.join("glove.md"), self.markdown().as_bytes())?;
-        let json = serde_json::to_value(self)?;
-        egotac::file::write(
-            &folder.join("glove.json"),
-            format!("{}\n", serde_json::to_string_pretty(self)?).as_bytes(),
-        )?;
-        figure::write(folder, "glove", &Plot::deserialize(&json)?)?;
+    pub fn write_plot(&self, folder: &Path) -> anyhow::Result<()> {
+        figure::write(folder, "glove", &Plot::deserialize(serde_json::to_value(self)?)?)?;
         Ok(())
     }
 
-    fn markdown(&self) -> String {
+    /// Returns the report as Markdown.
+    pub fn markdown(&self) -> String {
         let mut text = String::from("# Error of force against the number of taxels\n\n");
         let _ = writeln!(
             text,

@@ -215,8 +215,8 @@ fn a_scene_in_which_no_hand_presses_has_a_table_but_no_plot() {
     let args = ["bench", "sim", "hover", "--knobs", "cone", "--repetitions", "1", "--out", out.to_str().unwrap()];
     let output = egotac(&args);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let text = String::from_utf8(output.stdout).unwrap();
-    assert!(text.contains("no plot") && text.contains("| pyramidal |"), "{text}");
+    let [text, told] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+    assert!(told.contains("no plot") && text.contains("| pyramidal |"), "{text}{told}");
     assert!(out.join("sim.json").exists() && out.join("sim.md").exists() && !out.join("sim.png").exists());
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::builder::PossibleValuesParser;
+use egotac::cli::options::Json;
 
 use crate::names::{MEASURED, TRAINED};
 
@@ -71,6 +72,8 @@ pub struct Args {
     /// Folder for NAME.md, NAME.json, NAME.png and NAME.svg.
     #[arg(long, value_name = "FOLDER", default_value = "out/results")]
     out: PathBuf,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Runs the command.
@@ -86,11 +89,12 @@ pub use enabled::run;
 mod enabled {
     use egotac::file;
     use egotac::render::figure;
+    use egotac::text::tell;
     use indicatif::ProgressBar;
     use serde::Serialize;
 
     use super::*;
-    use crate::cli::write_report;
+    use crate::cli::output::write_report;
     use crate::experiment::{
         self, Experiment, Network, Progress, Setup, Size, attention, claims, decline, plot, reuse, transfer,
     };
@@ -98,6 +102,10 @@ mod enabled {
     /// Runs the command.
     pub fn run(args: Args) -> anyhow::Result<ExitCode> {
         if args.name == RESULTS {
+            anyhow::ensure!(
+                !args.json.is_printed() && args.json.file().is_none(),
+                "--json: the page of results is text only"
+            );
             let page = claims::page(&args.out)?;
             file::write(&args.out.join("README.md"), page.as_bytes())?;
             print!("{page}");
@@ -107,7 +115,7 @@ mod enabled {
         let command = command(&args, &setup.size);
         let bar = egotac::cli::progress::told_bar("parts");
         let mut show = |progress: Progress| show(&bar, progress);
-        let markdown = match args.name.as_str() {
+        let (report, markdown) = match args.name.as_str() {
             "attention" => {
                 let report = attention::run(&setup, command, &args.out, &mut show)?;
                 write(&args, &report, report.markdown())?
@@ -135,7 +143,7 @@ mod enabled {
             }
         };
         bar.finish_and_clear();
-        print!("{markdown}");
+        args.json.show(&report, || markdown)?;
         Ok(ExitCode::SUCCESS)
     }
 
@@ -190,10 +198,10 @@ mod enabled {
         format!("egotac experiment {}{training} --held-out {held_out} --size {image}{scenes}{again}{init}", args.name)
     }
 
-    /// Writes the report; returns its Markdown.
-    fn write<R: Serialize>(args: &Args, report: &R, markdown: String) -> anyhow::Result<String> {
+    /// Writes the report; returns its JSON and its Markdown.
+    fn write(args: &Args, report: &impl Serialize, markdown: String) -> anyhow::Result<(serde_json::Value, String)> {
         write_report(&args.out, &args.name, report, &markdown)?;
-        Ok(markdown)
+        Ok((serde_json::to_value(report)?, markdown))
     }
 
     fn show(bar: &ProgressBar, progress: Progress) {
@@ -206,13 +214,13 @@ mod enabled {
             Progress::Rendered(done, all) => at(done as usize, all as usize, "episodes rendered".into()),
             Progress::Budget(budget) => bar.suspend(|| {
                 let minutes = budget.windows as f64 / budget.windows_per_s / 60.0;
-                println!(
+                tell(format_args!(
                     "{} runs to make, {} windows altogether: about {minutes:.0} min at {:.0} windows/s, measured now",
                     budget.runs, budget.windows, budget.windows_per_s
-                );
+                ));
             }),
             Progress::Step(arm, seed, done, all) => at(done, all, format!("{arm}, seed {seed}")),
-            Progress::Run(arm, seed) => bar.suspend(|| println!("{arm}, seed {seed}: done")),
+            Progress::Run(arm, seed) => bar.suspend(|| tell(format_args!("{arm}, seed {seed}: done"))),
             Progress::Measured(done, all) => at(done, all, "conditions".into()),
         }
     }

@@ -2,16 +2,16 @@
 
 mod bench;
 mod experiment;
+mod output;
 #[cfg(feature = "sim")]
 mod policy;
 
 use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use egotac::cli::help;
-use serde::Serialize;
 
 /// Example of each command, without the program's name.
 const EXAMPLES: [&str; 19] = [
@@ -26,7 +26,7 @@ const EXAMPLES: [&str; 19] = [
     "bench retarget --frames 1000",
     "bench effects --out out/effects",
     "bench hard-cases --out out/hard-cases",
-    "bench guards --rounds 500",
+    "bench guards --rounds 500 --json",
     "bench glove poke --out out/glove",
     "bench physics --out out/physics",
     "bench faults --short",
@@ -131,13 +131,6 @@ fn run_experiment(args: Experiments) -> anyhow::Result<ExitCode> {
         // The name of an experiment is required.
         (None, None) => Ok(ExitCode::FAILURE),
     }
-}
-
-/// Writes a report as NAME.md and NAME.json into a folder.
-fn write_report(folder: &Path, name: &str, report: &impl Serialize, markdown: &str) -> anyhow::Result<()> {
-    let json = format!("{:#}\n", serde_json::to_value(report)?);
-    egotac::file::write(&folder.join(format!("{name}.md")), markdown.as_bytes())?;
-    Ok(egotac::file::write(&folder.join(format!("{name}.json")), json.as_bytes())?)
 }
 
 /// Returns worker processes that simulate `scenes` (names or files) with pictures of `size` x `size` pixels.

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use crate::cli::write_report;
+use egotac::cli::options::Json;
+
+use crate::cli::output::write_report;
 use crate::policy::{self, Size, plot};
 
 /// Arguments of `egotac experiment policy`.
@@ -30,6 +32,8 @@ pub struct Args {
     /// Folder for policy.md, policy.json, policy.png and policy.svg.
     #[arg(long, value_name = "FOLDER", default_value = "out/results")]
     out: PathBuf,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Runs the command.
@@ -56,6 +60,6 @@ pub fn run(args: Args) -> anyhow::Result<ExitCode> {
     bar.finish_and_clear();
     write_report(&args.out, "policy", &report, &report.markdown())?;
     plot::write(&args.out, &report)?;
-    print!("{}", report.markdown());
+    args.json.show(&serde_json::to_value(&report)?, || report.markdown())?;
     Ok(ExitCode::SUCCESS)
 }

@@ -32,17 +32,14 @@ impl Report {
     ///
     /// # Errors
     /// If a file can't be written.
-    pub fn write(&self, folder: &Path) -> anyhow::Result<()> {
-        egotac::file::write(&folder.join("physics.md"), self.markdown().as_bytes())?;
-        let json = serde_json::to_value(self)?;
-        let text = format!("{}\n", serde_json::to_string_pretty(self)?);
-        egotac::file::write(&folder.join("physics.json"), text.as_bytes())?;
-        figure::write(folder, "physics", &Plot::deserialize(&json)?)?;
+    pub fn write_plots(&self, folder: &Path) -> anyhow::Result<()> {
+        figure::write(folder, "physics", &Plot::deserialize(serde_json::to_value(self)?)?)?;
         figure::write(folder, "physics-determined", &Determined::new()?)?;
         Ok(())
     }
 
-    fn markdown(&self) -> String {
+    /// Returns the report as Markdown.
+    pub fn markdown(&self) -> String {
         let mut text = String::from("# Forces from motion against the simulator's contacts\n\n");
         put(
             &mut text,

@@ -132,21 +132,12 @@ impl Row {
 }
 
 impl SimReport {
-    /// Reads what [`Self::to_json`] wrote.
+    /// Reads `sim.json`.
     ///
     /// # Errors
     /// If the text is no report; `path` is for the message.
     pub fn from_json(path: &Path, text: &str) -> Result<Self> {
         serde_json::from_str(text).map_err(|error| Error::file(path, error))
-    }
-
-    /// Returns the report as JSON text with a line break at its end.
-    ///
-    /// # Errors
-    /// Never for a report.
-    pub fn to_json(&self) -> Result<String> {
-        let text = serde_json::to_string_pretty(self).map_err(|error| Error::file("report", error))?;
-        Ok(text + "\n")
     }
 
     /// Returns the scenes in which all settings of physics were measured.

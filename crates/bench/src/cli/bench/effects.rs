@@ -1,9 +1,8 @@
 //! `egotac bench effects`.
 
-use std::path::PathBuf;
-
 #[cfg(feature = "sim")]
 use super::{load_scenes, show};
+use crate::cli::output::Output;
 #[cfg(feature = "sim")]
 use crate::effects;
 
@@ -18,9 +17,8 @@ pub struct Args {
     /// Width and height of the picture, pixels.
     #[arg(long, default_value_t = 224, value_parser = clap::value_parser!(u32).range(8..=1024))]
     size: u32,
-    /// Folder for `effects.md` and `effects.json`.
-    #[arg(long, value_name = "FOLDER")]
-    out: PathBuf,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// Runs the subject.
@@ -28,17 +26,12 @@ pub struct Args {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut words = vec!["egotac bench effects".to_owned()];
     words.extend(args.scenes.iter().cloned());
-    words.push(format!("--seed {} --size {} --out {}", args.seed, args.size, args.out.display()));
+    words.push(format!("--seed {} --size {}{}", args.seed, args.size, args.output.words()));
     let bar = egotac::cli::progress::told_bar("measurements");
     let scenes = load_scenes(&args.scenes)?;
     let report = effects::measure(words.join(" "), &scenes, args.seed, args.size, |what, done, all| {
         show(&bar, what, done, all);
     })?;
     bar.finish_and_clear();
-    let table = effects::markdown(&report);
-    egotac::file::write(&args.out.join("effects.md"), table.as_bytes())?;
-    egotac::file::write(&args.out.join("effects.json"), serde_json::to_string_pretty(&report)?.as_bytes())?;
-    print!("{table}");
-    println!("wrote {0}/effects.md and {0}/effects.json", args.out.display());
-    Ok(())
+    args.output.write("effects", &report, &effects::markdown(&report))
 }

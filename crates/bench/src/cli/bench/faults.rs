@@ -1,11 +1,9 @@
 //! `egotac bench faults`.
 
-use std::path::PathBuf;
-
 use anyhow::{Context, ensure};
 use egotac::text::tell;
 
-use crate::cli::write_report;
+use crate::cli::output::Output;
 use crate::faults::{self, Options};
 
 /// Arguments of `egotac bench faults`.
@@ -27,9 +25,8 @@ pub struct Args {
     /// Seed of the times at which faults happen.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Folder for faults.md and faults.json; without it the table is only printed.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// Runs the subject; false if a run found anything.
@@ -51,9 +48,6 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
         }
     })?;
     ensure!(!report.rows.is_empty(), "--only: expected a part of a command's name; no command has this in its name");
-    if let Some(out) = &args.out {
-        write_report(out, "faults", &report, &report.markdown())?;
-    }
-    print!("{}", report.markdown());
+    args.output.write("faults", &report, &report.markdown())?;
     Ok(report.is_clean())
 }

@@ -1,6 +1,6 @@
 //! `egotac bench glove`.
 
-use std::path::PathBuf;
+use crate::cli::output::Output;
 
 /// Arguments of `egotac bench glove`.
 #[derive(Debug, clap::Args)]
@@ -14,9 +14,8 @@ pub struct Args {
     /// Seed of the first episode.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Folder for glove.md, glove.json, glove.png and glove.svg.
-    #[arg(long, value_name = "FOLDER", default_value = ".")]
-    out: PathBuf,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// Runs the subject.
@@ -24,10 +23,14 @@ pub struct Args {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     anyhow::ensure!(args.seeds > 0, "--seeds: expected at least 1, got 0");
     let scenes = super::load_scenes(&args.scenes)?;
-    let command = format!("egotac bench glove {} --seeds {} --seed {}", args.scenes.join(" "), args.seeds, args.seed);
+    let command = format!(
+        "egotac bench glove {} --seeds {} --seed {}{}",
+        args.scenes.join(" "),
+        args.seeds,
+        args.seed,
+        args.output.words()
+    );
     let report = crate::glove::measure(command, &scenes, args.seed, args.seeds, &mut |what| eprintln!("{what}"))?;
-    std::fs::create_dir_all(&args.out)?;
-    report.write(&args.out)?;
-    println!("wrote {}", args.out.join("glove.md").display());
-    Ok(())
+    args.output.write("glove", &report, &report.markdown())?;
+    args.output.folder().map_or(Ok(()), |folder| report.write_plot(folder))
 }

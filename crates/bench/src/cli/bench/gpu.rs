@@ -1,13 +1,10 @@
 //! `egotac bench gpu`.
 
-use std::path::PathBuf;
-
 use anyhow::ensure;
-use egotac::cli::options::Json;
 use egotac::cli::progress;
 use egotac::model::{Config, Precision};
 
-use crate::cli::write_report;
+use crate::cli::output::Output;
 use crate::gpu::{self, Plan};
 
 /// Arguments of `egotac bench gpu`.
@@ -36,10 +33,7 @@ pub struct Args {
     #[arg(long, default_value_t = 2)]
     rounds: usize,
     #[command(flatten)]
-    json: Json,
-    /// Folder for gpu.md and gpu.json.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    output: Output,
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
@@ -63,9 +57,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         command += &format!(" --peer \"{peer}\"");
     }
     command += &format!(" --rounds {}", args.rounds);
-    if let Some(out) = &args.out {
-        command += &format!(" --out {}", out.display());
-    }
+    command += &args.output.words();
     let plan = Plan {
         command,
         presets: args.preset.clone(),
@@ -82,8 +74,5 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bar.inc(1);
     })?;
     bar.finish_and_clear();
-    if let Some(out) = &args.out {
-        write_report(out, "gpu", &report, &report.markdown())?;
-    }
-    Ok(args.json.show(&serde_json::to_value(&report)?, || report.markdown())?)
+    args.output.write("gpu", &report, &report.markdown())
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::cli::write_report;
+use crate::cli::output::Output;
 use crate::import::{ALLOWED_MS, markdown, run as measure};
 
 /// Arguments of `egotac bench import`.
@@ -14,25 +14,18 @@ pub struct Args {
     /// Data set whose reader is measured: its kind and its folder; without it, small data sets that the command writes.
     #[arg(long, value_name = "KIND=FOLDER", value_parser = set)]
     set: Vec<(String, PathBuf)>,
-    /// Folder for import.md and import.json; without it the table is only printed.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// Runs the subject; false if contact labels take longer than allowed.
 pub fn run(args: &Args) -> anyhow::Result<bool> {
     let folder = tempfile::tempdir()?;
     // Folders of data sets say nothing about the measurement.
-    let command = match args.set.is_empty() {
-        true => "egotac bench import --out docs/bench".to_string(),
-        false => "egotac bench import --set KIND=FOLDER ... --out docs/bench".to_string(),
-    };
+    let sets = if args.set.is_empty() { "" } else { " --set KIND=FOLDER ..." };
+    let command = format!("egotac bench import{sets}{}", args.output.words());
     let report = measure(&args.set, folder.path(), command)?;
-    let table = markdown(&report);
-    print!("{table}");
-    if let Some(folder) = &args.out {
-        write_report(folder, "import", &report, &table)?;
-    }
+    args.output.write("import", &report, &markdown(&report))?;
     Ok(report.contact.last().is_none_or(|row| row.label_ms <= ALLOWED_MS))
 }
 

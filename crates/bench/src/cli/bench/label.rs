@@ -7,7 +7,7 @@ use candle_nn::VarMap;
 use egotac::model::predictor::Options;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Predictor, init, shipped};
 
-use crate::cli::write_report;
+use crate::cli::output::Output;
 use crate::label::{ALLOWED, markdown, run as measure};
 
 /// Arguments of `egotac bench label`.
@@ -28,9 +28,8 @@ pub struct Args {
     /// Repetitions for each recording; the best counts.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=100))]
     repetitions: u64,
-    /// Folder for label.md and label.json; without it the table is only printed.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// Runs the subject; false if the stages beside the network take more than [`ALLOWED`] of the time of a preset.
@@ -47,11 +46,7 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let command = format!("egotac {}", words.join(" "));
     let report = measure(&mut predictors, args.frames as usize, args.repetitions as usize, folder.path(), command)?;
-    let table = markdown(&report);
-    print!("{table}");
-    if let Some(folder) = &args.out {
-        write_report(folder, "label", &report, &table)?;
-    }
+    args.output.write("label", &report, &markdown(&report))?;
     let of_presets = report.rows.iter().filter(|row| args.preset.contains(&row.network));
     Ok(of_presets.map(|row| row.share).all(|share| share <= ALLOWED))
 }

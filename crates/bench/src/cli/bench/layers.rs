@@ -1,12 +1,9 @@
 //! `egotac bench layers`.
 
-use std::path::PathBuf;
-
-use egotac::cli::options::Json;
 use egotac::cli::progress;
 use egotac::model::{Config, Precision};
 
-use crate::cli::write_report;
+use crate::cli::output::Output;
 use crate::layers;
 
 /// Arguments of `egotac bench layers`.
@@ -25,10 +22,7 @@ pub struct Args {
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     runs: u64,
     #[command(flatten)]
-    json: Json,
-    /// Folder for layers.md and layers.json.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    output: Output,
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
@@ -42,17 +36,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.threads,
         args.runs
     );
-    if let Some(out) = &args.out {
-        command += &format!(" --out {}", out.display());
-    }
+    command += &args.output.words();
     let bar = progress::told_bar("encoders");
     let report = layers::measure(command, &args.preset, &args.precision, args.runs as usize, |preset, precision| {
         bar.set_message(format!("{preset} {precision}"));
         bar.inc(1);
     })?;
     bar.finish_and_clear();
-    if let Some(out) = &args.out {
-        write_report(out, "layers", &report, &report.markdown())?;
-    }
-    Ok(args.json.show(&serde_json::to_value(&report)?, || report.markdown())?)
+    args.output.write("layers", &report, &report.markdown())
 }

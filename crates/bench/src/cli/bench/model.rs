@@ -1,10 +1,9 @@
 //! `egotac bench model`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
 use candle_nn::VarMap;
-use egotac::cli::options::Json;
 use egotac::cli::progress;
 use egotac::dataset::zarr;
 use egotac::file;
@@ -12,7 +11,7 @@ use egotac::machine::Machine;
 use egotac::model::predictor::Options;
 use egotac::model::{Checkpoint, Config, EgoTac, Metadata, Precision, Predictor, init, shipped};
 
-use crate::cli::write_report;
+use crate::cli::output::Output;
 use crate::model::{Plan, Setup, estimates, growth, measure, pareto, sweep, table};
 
 /// Largest allowed growth of a stream's memory, MB.
@@ -78,10 +77,7 @@ pub struct Args {
     #[arg(long, value_name = "INDEX", conflicts_with = "out")]
     cuda: Option<usize>,
     #[command(flatten)]
-    json: Json,
-    /// Folder for model.md, model.json, model.png and model.svg.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    output: Output,
 }
 
 /// Runs the subject; false if memory grew by more than [`GROWTH_MB`].
@@ -93,9 +89,9 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     if let Some(images) = args.estimates {
         return cost_of_estimates(args, images);
     }
-    match (&args.out, args.growth) {
+    match (args.output.folder(), args.growth) {
         (_, Some(frames)) => grow(args, frames as usize),
-        (Some(out), None) => write(out, &sweep(args, out)?),
+        (Some(folder), None) => write(args, folder, &sweep(args)?),
         (None, None) => one(args),
     }
 }
@@ -112,7 +108,7 @@ fn one(args: &Args) -> anyhow::Result<bool> {
         }
         _ => bail!("--checkpoint: several need --out"),
     };
-    args.json.show(&serde_json::to_value(&row)?, || table::rows(&[row]))?;
+    args.output.print(&row, || table::rows(std::slice::from_ref(&row)))?;
     Ok(true)
 }
 
@@ -148,7 +144,7 @@ fn cost_of_estimates(args: &Args, images: usize) -> anyhow::Result<bool> {
     let setup = setup(args)?;
     let [path] = args.checkpoint.as_slice() else { bail!("--checkpoint: --estimates needs one") };
     let cost = estimates::measure(path, setup.precision, images)?;
-    args.json.show(&serde_json::to_value(&cost)?, || {
+    args.output.print(&cost, || {
         format!(
             "{} images: {:.3} ms without estimates, {:.3} ms with them; {:.2} % more, median of pairs",
             cost.images,
@@ -167,13 +163,13 @@ fn grow(args: &Args, frames: usize) -> anyhow::Result<bool> {
     let checkpoint = Checkpoint::new(model.compile(setup.precision)?, metadata);
     let mut predictor = Predictor::new(checkpoint, Options { device: setup.device, ..Options::default() })?;
     let growth = growth::measure(&mut predictor, &setup.name, frames)?;
-    if let Some(out) = &args.out {
+    if let Some(folder) = args.output.folder() {
         let mut json = serde_json::to_value(&growth)?;
-        json["command"] = command(args, out).into();
+        json["command"] = command(args).into();
         json["machine"] = serde_json::to_value(Machine::this())?;
-        file::write(&out.join(format!("growth-{}.json", growth.preset)), format!("{json:#}\n").as_bytes())?;
+        file::write(&folder.join(format!("growth-{}.json", growth.preset)), format!("{json:#}\n").as_bytes())?;
     }
-    args.json.show(&serde_json::to_value(&growth)?, || {
+    args.output.print(&growth, || {
         format!(
             "{}: {frames} frames in {:.0} s; {:.1} MB after the first tenth, {:.1} MB at the end",
             growth.preset, growth.seconds, growth.warm_mb, growth.end_mb
@@ -182,9 +178,9 @@ fn grow(args: &Args, frames: usize) -> anyhow::Result<bool> {
     Ok(growth.mb() <= GROWTH_MB)
 }
 
-fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::ModelReport> {
+fn sweep(args: &Args) -> anyhow::Result<sweep::ModelReport> {
     let plan = Plan {
-        command: command(args, out),
+        command: command(args),
         presets: args.preset.clone(),
         vary: args.vary.clone(),
         horizons: args.horizon.clone(),
@@ -205,16 +201,14 @@ fn sweep(args: &Args, out: &std::path::Path) -> anyhow::Result<sweep::ModelRepor
     Ok(report)
 }
 
-fn write(out: &std::path::Path, report: &sweep::ModelReport) -> anyhow::Result<bool> {
-    let text = table::render(report);
-    write_report(out, "model", report, &text)?;
-    pareto::write(out, report)?;
-    print!("{text}");
+fn write(args: &Args, folder: &Path, report: &sweep::ModelReport) -> anyhow::Result<bool> {
+    args.output.write("model", report, &table::render(report))?;
+    pareto::write(folder, report)?;
     Ok(true)
 }
 
 /// Returns the command that measures the same again.
-fn command(args: &Args, out: &std::path::Path) -> String {
+fn command(args: &Args) -> String {
     let mut words = format!("egotac bench model --preset {}", args.preset.join(","));
     fn list<T: ToString>(values: &[T]) -> String {
         values.iter().map(T::to_string).collect::<Vec<_>>().join(",")
@@ -247,5 +241,5 @@ fn command(args: &Args, out: &std::path::Path) -> String {
     if let Some(frames) = args.growth {
         words += &format!(" --growth {frames}");
     }
-    words + &format!(" --out {}", out.display())
+    words + &args.output.words()
 }

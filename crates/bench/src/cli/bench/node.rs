@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, ensure};
 use egotac::cli::options::Time;
 
-use crate::cli::write_report;
+use crate::cli::output::Output;
 use crate::node::{self, MEASUREMENTS, Options};
 
 /// Arguments of `egotac bench node`.
@@ -25,9 +25,8 @@ pub struct Args {
     /// warm-up of two minutes, in soaks of four minutes and longer.
     #[arg(long, value_name = "TIME", value_parser = duration)]
     soak: Option<Time>,
-    /// Folder for node.md and node.json; without it the report is only printed.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// Runs the subject; false if a goal is missed.
@@ -51,10 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<bool> {
     };
     let words: Vec<String> = std::env::args().skip(1).collect();
     let report = node::measure(&options, format!("egotac {}", words.join(" ")), |name| eprintln!("measuring: {name}"))?;
-    if let Some(out) = &args.out {
-        write_report(out, "node", &report, &report.markdown())?;
-    }
-    print!("{}", report.markdown());
+    args.output.write("node", &report, &report.markdown())?;
     Ok(report.is_good())
 }
 

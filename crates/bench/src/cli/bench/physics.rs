@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::cli::output::Output;
+
 /// Arguments of `egotac bench physics`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -31,9 +33,8 @@ pub struct Args {
     /// Command that solves the same problems with another solver, such as `python crates/bench/benches/solver_peer.py`.
     #[arg(long, value_name = "COMMAND")]
     solver_peer: Option<String>,
-    /// Folder for physics.md, physics.json, physics.png and physics.svg.
-    #[arg(long, value_name = "FOLDER", default_value = ".")]
-    out: PathBuf,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// Runs the subject.
@@ -45,8 +46,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let scenes = super::load_scenes(&args.scenes)?;
     let names: String = args.scenes.iter().map(|scene| format!("{scene} ")).collect();
     let peer = args.solver_peer.as_ref().map(|peer| format!(" --solver-peer {peer:?}")).unwrap_or_default();
-    let command =
-        format!("egotac bench physics {names}--seeds {} --seed {}{peer} --out docs/bench", args.seeds, args.seed);
+    let (Args { seeds, seed, .. }, out) = (args, args.output.words());
+    let command = format!("egotac bench physics {names}--seeds {seeds} --seed {seed}{peer}{out}");
     let seeds = args.seed..args.seed + args.seeds;
     let usual = egotac::physics::Settings::default();
     let settings = egotac::physics::Settings {
@@ -69,8 +70,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.solver_peer.as_deref(),
         &told,
     )?;
-    std::fs::create_dir_all(&args.out)?;
-    report.write(&args.out)?;
-    println!("wrote {}", args.out.join("physics.md").display());
-    Ok(())
+    args.output.write("physics", &report, &report.markdown())?;
+    args.output.folder().map_or(Ok(()), |folder| report.write_plots(folder))
 }

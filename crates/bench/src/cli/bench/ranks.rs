@@ -3,11 +3,10 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use egotac::cli::options::Json;
 use egotac::cli::progress;
 use egotac::model::Config;
 
-use crate::cli::write_report;
+use crate::cli::output::Output;
 use crate::ranks::{self, Options};
 
 /// Arguments of `egotac bench ranks`.
@@ -32,10 +31,7 @@ pub struct Args {
     #[arg(long, value_name = "COMMAND", default_value = "mpirun --bind-to none -n")]
     launcher: String,
     #[command(flatten)]
-    json: Json,
-    /// Folder for ranks.md and ranks.json.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    output: Output,
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
@@ -55,9 +51,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(program) = &args.program {
         command += &format!(" --program {}", program.display());
     }
-    if let Some(out) = &args.out {
-        command += &format!(" --out {}", out.display());
-    }
+    command += &args.output.words();
     let options = Options {
         presets: args.preset.clone(),
         ranks: args.ranks as usize,
@@ -72,8 +66,5 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bar.inc(1);
     })?;
     bar.finish_and_clear();
-    if let Some(out) = &args.out {
-        write_report(out, "ranks", &report, &report.markdown())?;
-    }
-    Ok(args.json.show(&serde_json::to_value(&report)?, || report.markdown())?)
+    args.output.write("ranks", &report, &report.markdown())
 }

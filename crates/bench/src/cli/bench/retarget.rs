@@ -1,11 +1,6 @@
 //! `egotac bench retarget`.
 
-use std::path::PathBuf;
-
-use egotac::cli::options::Json;
-
-#[cfg(feature = "sim")]
-use crate::cli::write_report;
+use crate::cli::output::Output;
 #[cfg(feature = "sim")]
 use crate::retarget::{Plan, plot, run as measure, table};
 
@@ -28,10 +23,7 @@ pub struct Args {
     #[arg(long, value_name = "TEXT")]
     load: Option<String>,
     #[command(flatten)]
-    json: Json,
-    /// Folder for retarget.md, retarget.json, retarget.png and retarget.svg.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    output: Output,
 }
 
 /// Runs the subject.
@@ -40,12 +32,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let bar = egotac::cli::progress::spinner("measuring");
     let report = measure(&plan(args), |what| bar.set_message(what.to_owned()))?;
     bar.finish_and_clear();
-    let table = table::markdown(&report);
-    args.json.show(&serde_json::to_value(&report)?, || table.clone())?;
-    if let Some(folder) = &args.out {
-        write_report(folder, "retarget", &report, &table)?;
+    args.output.write("retarget", &report, &table::markdown(&report))?;
+    if let Some(folder) = args.output.folder() {
         plot::write(folder, &report)?;
-        egotac::text::tell(format_args!("wrote {0}/retarget.md and {0}/retarget.json", folder.display()));
     }
     Ok(())
 }
@@ -62,7 +51,7 @@ fn plan(args: &Args) -> Plan {
     words.push(format!("--frames {} --seed {}", args.frames, args.seed));
     words.extend(args.peer.iter().map(|peer| format!("--peer {peer:?}")));
     Plan {
-        command: words.join(" "),
+        command: words.join(" ") + &args.output.words(),
         robots,
         frames: args.frames as usize,
         seed: args.seed,

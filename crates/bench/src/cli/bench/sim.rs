@@ -1,12 +1,13 @@
 //! `egotac bench sim`.
 
-use std::path::PathBuf;
-
 #[cfg(feature = "sim")]
 use egotac::sim::{RolloutOptions, WorkerCommand};
+#[cfg(feature = "sim")]
+use egotac::text::tell;
 
 #[cfg(feature = "sim")]
 use super::{load_scenes, show};
+use crate::cli::output::Output;
 #[cfg(feature = "sim")]
 use crate::sim::{self, KNOB_SCENES, Plan, knob::Knob, markdown, pareto, throughput};
 
@@ -29,9 +30,8 @@ pub struct Args {
     /// Interleaved repetitions; the least time counts.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=100))]
     repetitions: u64,
-    /// Folder for sim.json, sim.md, sim.png and sim.svg.
-    #[arg(long)]
-    out: PathBuf,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// Runs the subject.
@@ -41,17 +41,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let bar = egotac::cli::progress::told_bar("measurements");
     let report = sim::run(&plan, |what, done, all| show(&bar, what, done, all))?;
     bar.finish_and_clear();
-    let table = markdown::render(&report);
-    egotac::file::write(&args.out.join("sim.json"), report.to_json()?.as_bytes())?;
-    egotac::file::write(&args.out.join("sim.md"), table.as_bytes())?;
-    let mut written = vec!["sim.json", "sim.md"];
-    match pareto::write(&args.out, &report)? {
-        true => written.extend(["sim.png", "sim.svg"]),
-        false => println!("no plot: no hand presses in these scenes, so there are no forces to compare"),
+    args.output.write("sim", &report, &markdown::render(&report))?;
+    if let Some(folder) = args.output.folder()
+        && !pareto::write(folder, &report)?
+    {
+        tell(format_args!("no plot: no hand presses in these scenes, so there are no forces to compare"));
     }
-    print!("{table}");
-    let written: Vec<String> = written.iter().map(|file| args.out.join(file).display().to_string()).collect();
-    println!("\nwrote {}", written.join(", "));
     Ok(())
 }
 
@@ -99,7 +94,7 @@ fn command(args: &Args) -> String {
     if !args.knobs.is_empty() {
         words.push(format!("--knobs {}", args.knobs.join(",")));
     }
-    let Args { seed, seeds, repetitions, out, .. } = args;
-    words.push(format!("--seed {seed} --seeds {seeds} --repetitions {repetitions} --out {}", out.display()));
+    let Args { seed, seeds, repetitions, output, .. } = args;
+    words.push(format!("--seed {seed} --seeds {seeds} --repetitions {repetitions}{}", output.words()));
     words.join(" ")
 }

@@ -1,13 +1,10 @@
 //! `egotac bench train`.
 
-use std::path::PathBuf;
-
 use anyhow::ensure;
-use egotac::cli::options::Json;
 use egotac::cli::progress;
 use egotac::model::Config;
 
-use crate::cli::write_report;
+use crate::cli::output::Output;
 use crate::train;
 
 /// Arguments of `egotac bench train`.
@@ -30,10 +27,7 @@ pub struct Args {
     #[arg(long, default_value_t = 3)]
     rounds: usize,
     #[command(flatten)]
-    json: Json,
-    /// Folder for train.md and train.json.
-    #[arg(long, value_name = "FOLDER")]
-    out: Option<PathBuf>,
+    output: Output,
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
@@ -49,9 +43,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(peer) = &args.peer {
         command += &format!(" --peer \"{peer}\" --rounds {}", args.rounds);
     }
-    if let Some(out) = &args.out {
-        command += &format!(" --out {}", out.display());
-    }
+    command += &args.output.words();
     let bar = progress::told_bar("measurements");
     let peer = args.peer.as_deref().map(|peer| (peer, args.rounds));
     let report = train::measure(command, &args.preset, args.threads as usize, args.runs as usize, peer, |preset| {
@@ -59,8 +51,5 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bar.inc(1);
     })?;
     bar.finish_and_clear();
-    if let Some(out) = &args.out {
-        write_report(out, "train", &report, &report.markdown())?;
-    }
-    Ok(args.json.show(&serde_json::to_value(&report)?, || report.markdown())?)
+    args.output.write("train", &report, &report.markdown())
 }
