@@ -83,3 +83,13 @@ join_path() {
 idl_hash() { # PREFIX
     (cd "$1/share/egotac_msgs" && find . -name '*.idl' | LC_ALL=C sort | xargs sha256sum | sha256sum | cut -c1-16)
 }
+
+# Makes the virtual environment of scripts/python/NAME.lock in the cache, once, from the Python beneath $EGOTAC_PYTHON: $venv.
+find_venv() { # NAME WHAT
+    local base key
+    find_cache
+    base=$("$EGOTAC_PYTHON" -c 'import os, sys; print(os.path.realpath(getattr(sys, "_base_executable", sys.executable)))')
+    key=$(key_of "$root/scripts/python/$1.lock" "$lib/build-venv" <<<"$("$base" -V)")
+    venv=$cache/$1/$key
+    once "$venv" "$2" "$lib/build-venv" "$base" "$1"
+}
