@@ -10,10 +10,9 @@ use egotac::render::plot::PALETTE;
 use egotac_bench::draw::svgs;
 
 /// Reports with plots, below docs/.
-const REPORTS: [&str; 25] = [
+const REPORTS: [&str; 24] = [
     "bench/model.json",
     "bench/epyc/model.json",
-    "bench/busy/model.json",
     "bench/sim.json",
     "bench/friction/sim.json",
     "bench/glove.json",
