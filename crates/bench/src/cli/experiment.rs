@@ -72,13 +72,11 @@ pub struct Args {
     /// Folder for NAME.md, NAME.json, NAME.png and NAME.svg.
     #[arg(long, value_name = "FOLDER", default_value = "out/results")]
     out: PathBuf,
-    #[command(flatten)]
-    json: Json,
 }
 
 /// Runs the command.
 #[cfg(not(feature = "sim"))]
-pub fn run(_: Args) -> anyhow::Result<ExitCode> {
+pub fn run(_: Args, _: &Json) -> anyhow::Result<ExitCode> {
     Err(super::feature_off("experiment"))
 }
 
@@ -100,12 +98,9 @@ mod enabled {
     };
 
     /// Runs the command.
-    pub fn run(args: Args) -> anyhow::Result<ExitCode> {
+    pub fn run(args: Args, json: &Json) -> anyhow::Result<ExitCode> {
         if args.name == RESULTS {
-            anyhow::ensure!(
-                !args.json.is_printed() && args.json.file().is_none(),
-                "--json: the page of results is text only"
-            );
+            anyhow::ensure!(!json.is_printed() && json.file().is_none(), "--json: the page of results is text only");
             let page = claims::page(&args.out)?;
             file::write(&args.out.join("README.md"), page.as_bytes())?;
             print!("{page}");
@@ -143,7 +138,7 @@ mod enabled {
             }
         };
         bar.finish_and_clear();
-        args.json.show(&report, || markdown)?;
+        json.show(&report, || markdown)?;
         Ok(ExitCode::SUCCESS)
     }
 

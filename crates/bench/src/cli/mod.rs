@@ -12,6 +12,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use egotac::cli::help;
+use egotac::cli::options::Json;
 
 /// Example of each command, without the program's name.
 const EXAMPLES: [&str; 19] = [
@@ -81,6 +82,9 @@ struct Experiments {
     closed_loop: Option<ClosedLoop>,
     #[command(flatten)]
     trained: Option<experiment::Args>,
+    // Not among the arguments before: clap finds none of them if they contain other groups.
+    #[command(flatten)]
+    json: Json,
 }
 
 #[derive(Debug, clap::Subcommand)]
@@ -122,12 +126,13 @@ pub fn main() -> ExitCode {
 }
 
 fn run_experiment(args: Experiments) -> anyhow::Result<ExitCode> {
-    match (args.closed_loop, args.trained) {
+    let Experiments { closed_loop, trained, json } = args;
+    match (closed_loop, trained) {
         #[cfg(feature = "sim")]
         (Some(ClosedLoop::Policy(args)), _) => policy::run(args),
         #[cfg(not(feature = "sim"))]
         (Some(ClosedLoop::Policy(_)), _) => Err(feature_off("experiment policy")),
-        (None, Some(args)) => experiment::run(args),
+        (None, Some(args)) => experiment::run(args, &json),
         // The name of an experiment is required.
         (None, None) => Ok(ExitCode::FAILURE),
     }
