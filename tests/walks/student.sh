@@ -1,14 +1,10 @@
 # shellcheck shell=bash
 # The student brings the Python of LeRobot, which has pyarrow.
 
-# shellcheck disable=SC2154 # root, lib and cache are variables of scripts/test-walks
 prepare() {
-    find_cache
-    local base key
-    base=$("$EGOTAC_PYTHON" -c 'import os, sys; print(os.path.realpath(getattr(sys, "_base_executable", sys.executable)))')
-    key=$(key_of "$root/scripts/python/peers.lock" "$lib/build-peers" <<<"$("$base" -V)")
-    once "$cache/peers/$key" "making the environment of LeRobot and Ray (several minutes)" "$lib/build-peers" "$base"
-    export PATH="$cache/peers/$key/bin:$PATH"
+    find_venv peers "making the environment of LeRobot and Ray (several minutes)"
+    # shellcheck disable=SC2154 # find_venv sets it
+    export PATH="$venv/bin:$PATH"
 }
 
 check() {
