@@ -1,10 +1,10 @@
 //! The `egotac` command: parse, dispatch, print the error once.
 
+mod allocator;
+
 use std::process::ExitCode;
 
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 fn main() -> ExitCode {
+    allocator::install();
     egotac::cli::main()
 }

@@ -1,11 +1,11 @@
 //! The program `egotac_trainer`.
 
+#[path = "../allocator.rs"]
+mod allocator;
+
 use std::process::ExitCode;
 
-// Training allocates and frees many large tensors per step, which mimalloc does faster than the system's allocator.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 fn main() -> ExitCode {
+    allocator::install();
     egotac::node::trainer::main()
 }
