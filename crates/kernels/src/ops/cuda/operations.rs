@@ -5,7 +5,6 @@ use std::sync::OnceLock;
 use candle_core::cuda_backend::cudarc::driver::CudaSlice;
 use candle_core::{Result, Shape, Tensor, bail};
 
-use super::super::linear;
 use super::gpu::{Factor, Gpu, Matrix, Pointer, Value, slice_pointer, tensor_pointer};
 use super::operation::{Operand, Operation, apply};
 
@@ -56,7 +55,7 @@ struct Linear;
 
 /// Returns the shape of `x Wᵀ + b`, and its rows, outputs and inputs (m, n, k).
 fn linear_shape(operands: [Operand; 3]) -> Result<(Shape, [usize; 3])> {
-    let shape = linear::shape(operands.map(|operand| operand.dims()))?;
+    let shape = super::super::linear::shape(operands.map(|operand| operand.dims()))?;
     let [x, weight, _] = operands;
     let (n, k) = weight.layout.shape().dims2()?;
     Ok((shape, [x.count() / k.max(1), n, k]))
@@ -280,8 +279,8 @@ impl Operation for SelfAttention {
         let qkv = tensor_pointer::<T>(sorted)?;
         let [q, k, v] = [0, 1, 2].map(|part| sizes.head::<T>(qkv, part));
         let a = sizes.weights(tensor_pointer::<T>(weights)?);
-        let gradients = gpu.empty::<T>(3 * images * n * d)?;
-        let [dq, dk, dv] = [0, 1, 2].map(|part| sizes.head::<T>(slice_pointer(&gradients), part));
+        let by_part = gpu.empty::<T>(3 * images * n * d)?;
+        let [dq, dk, dv] = [0, 1, 2].map(|part| sizes.head::<T>(slice_pointer(&by_part), part));
         let scores = gpu.empty::<T>(sizes.rows() * stride)?;
         let s = sizes.weights(slice_pointer(&scores));
         gpu.multiply(dv, a.t(), g, [n, size, n], count, 1.0)?;
