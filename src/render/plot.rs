@@ -32,7 +32,7 @@ const DESCRIPTION: u32 = 20;
 /// Height of tick labels and legends, pixels.
 pub const LABEL: u32 = 19;
 /// Space around a chart, pixels.
-const MARGIN: u32 = 14;
+pub const MARGIN: u32 = 14;
 /// Length of a line in a legend, pixels.
 const KEY_LENGTH: i32 = 18;
 /// Height of a row of keys, pixels.
@@ -55,7 +55,7 @@ where
 {
     let left = MARGIN as i32;
     let room = area.dim_in_pixel().0.saturating_sub(2 * MARGIN);
-    let lines = wrapped(heading, room);
+    let lines = wrapped(heading, room, HEADING);
     let top = if lines.is_empty() { 8 } else { (HEADING * lines.len() as u32) as i32 + 18 };
     let (mut x, mut y) = (left, top);
     let mut keys = Vec::new();
@@ -79,12 +79,12 @@ where
     Ok(body)
 }
 
-/// Breaks a heading into lines of at most `room` pixels, between words; none for an empty one.
-fn wrapped(heading: &str, room: u32) -> Vec<String> {
+/// Breaks a text of this size into lines of at most `room` pixels, between words; none for an empty one.
+fn wrapped(text: &str, room: u32, size: u32) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
-    for word in heading.split_whitespace() {
+    for word in text.split_whitespace() {
         let longer = lines.last().map(|line| format!("{line} {word}"));
-        match longer.filter(|line| font::width(line, f64::from(HEADING)) <= room) {
+        match longer.filter(|line| font::width(line, f64::from(size)) <= room) {
             Some(longer) => {
                 lines.pop();
                 lines.push(longer);
@@ -143,8 +143,32 @@ where
     Ok(())
 }
 
-/// Draws the value axis of a chart whose other axis has the categories 0, 1, 2 ..., and their names below it: in one row if they have
-/// room there, else from top to bottom.
+/// Space between a chart and the names of its categories, pixels.
+const BELOW: i32 = 8;
+/// Most rows of the names of categories.
+const MOST_ROWS: usize = 2;
+
+/// Breaks the names of categories, which are `pitch` pixels apart, into rows; None if they need more than there may be.
+fn rows(names: &[&str], pitch: u32) -> Option<Vec<Vec<String>>> {
+    let room = pitch.saturating_sub(BELOW as u32);
+    let rows: Vec<_> = names.iter().map(|name| wrapped(name, room, LABEL)).collect();
+    let fits = |rows: &Vec<String>| {
+        rows.len() <= MOST_ROWS && rows.iter().all(|row| font::width(row, f64::from(LABEL)) < room)
+    };
+    rows.iter().all(fits).then_some(rows)
+}
+
+/// Returns the height that [`categories`] needs for names that are `pitch` pixels apart.
+pub fn names_height(names: &[&str], pitch: u32) -> u32 {
+    let below = BELOW as u32;
+    match rows(names, pitch) {
+        Some(rows) => below + MARGIN + LABEL * rows.iter().map(Vec::len).max().unwrap_or(1).max(1) as u32,
+        None => 2 * below + names.iter().map(|name| font::width(name, f64::from(LABEL))).max().unwrap_or(0),
+    }
+}
+
+/// Draws the value axis of a chart whose other axis has the categories 0, 1, 2 ..., and their names below it: side by side, in two rows
+/// where one is too narrow, else from top to bottom.
 ///
 /// # Errors
 /// If the backend fails.
@@ -175,16 +199,22 @@ where
     let (left, upper) = area.get_base_pixel();
     let zero = chart.plotting_area().get_y_range().start;
     let place = |index: usize| chart.plotting_area().map_coordinate(&(index as f64, zero)).0 - left;
-    let pitch = if names.len() > 1 { place(1) - place(0) } else { i32::MAX };
-    let fits = |name: &&str| (font::width(name, f64::from(LABEL)) as i32) < pitch - 8;
+    let pitch = if names.len() > 1 { place(1).abs_diff(place(0)) } else { u32::MAX };
     let style = TextStyle::from((FAMILY, LABEL)).color(&BLACK);
     use plotters::style::text_anchor::{HPos, Pos, VPos};
-    let style = match names.iter().all(fits) {
-        true => style.pos(Pos::new(HPos::Center, VPos::Top)),
-        false => style.transform(FontTransform::Rotate90).pos(Pos::new(HPos::Left, VPos::Center)),
+    let top = bottom - upper + BELOW;
+    let Some(rows) = rows(names, pitch) else {
+        let style = style.transform(FontTransform::Rotate90).pos(Pos::new(HPos::Left, VPos::Center));
+        for (index, name) in names.iter().enumerate() {
+            area.draw(&Text::new((*name).to_owned(), (place(index), top), style.clone()))?;
+        }
+        return Ok(());
     };
-    for (index, name) in names.iter().enumerate() {
-        area.draw(&Text::new((*name).to_owned(), (place(index), bottom - upper + 8), style.clone()))?;
+    let style = style.pos(Pos::new(HPos::Center, VPos::Top));
+    for (index, rows) in rows.into_iter().enumerate() {
+        for (row, line) in rows.into_iter().enumerate() {
+            area.draw(&Text::new(line, (place(index), top + row as i32 * LABEL as i32), style.clone()))?;
+        }
     }
     Ok(())
 }
@@ -347,10 +377,10 @@ mod tests {
     #[test]
     fn long_headings_take_several_lines() {
         let text = "Does training on two imported data sets beat either alone?";
-        let lines = wrapped(text, 500);
+        let lines = wrapped(text, 500, HEADING);
         assert!(lines.len() > 1 && lines.iter().all(|line| font::width(line, f64::from(HEADING)) <= 500));
         assert_eq!(lines.join(" "), text);
-        assert_eq!(wrapped("", 500).len(), 0);
+        assert_eq!(wrapped("", 500, HEADING).len(), 0);
     }
 
     #[test]
@@ -367,5 +397,15 @@ mod tests {
         let (low, high) = span([1.0, 3.0, f64::NAN].into_iter(), 0.1).unwrap();
         assert!((low - 0.6).abs() < 1e-9 && (high - 3.4).abs() < 1e-9);
         assert_eq!(span([].into_iter(), 0.1), None);
+    }
+
+    #[test]
+    fn names_of_categories_take_one_row_two_or_turn() {
+        let names = ["by size", "by root of size"];
+        let height = |names: &[&str], pitch| names_height(names, pitch);
+        assert_eq!(rows(&names, 400).unwrap(), [vec!["by size"], vec!["by root of size"]]);
+        assert_eq!(rows(&names, 120).unwrap(), [vec!["by size"], vec!["by root of", "size"]]);
+        assert_eq!(rows(&names, 30), None);
+        assert!(height(&names, 400) < height(&names, 120) && height(&names, 120) < height(&names, 30));
     }
 }

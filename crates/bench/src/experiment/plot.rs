@@ -4,7 +4,7 @@ use std::path::Path;
 
 use egotac::error::{Error, Result};
 use egotac::render::figure::{self, Drawn, Figure};
-use egotac::render::font::{self, FAMILY};
+use egotac::render::font::FAMILY;
 use egotac::render::plot::{self, LABEL, PALETTE};
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -177,9 +177,8 @@ impl Panel {
         // Scores end at 1.
         let top = if most <= 1.0 { top.min(1.03) } else { top };
         let names: Vec<&str> = arms.iter().map(String::as_str).collect();
-        let longest = names.iter().map(|name| font::width(name, f64::from(LABEL))).max().unwrap_or(0);
-        let room = (area.dim_in_pixel().0 - LEFT) / arms.len().max(1) as u32;
-        let below = if longest + 16 < room { 40 } else { longest + 18 };
+        let pitch = area.dim_in_pixel().0.saturating_sub(LEFT + 2 * plot::MARGIN) / arms.len().max(1) as u32;
+        let below = plot::names_height(&names, pitch);
         let mut chart = plot::chart(area, &self.title, [below, LEFT])
             .build_cartesian_2d(-0.5..arms.len() as f64 - 0.5, 1.15 * least..top)?;
         plot::categories(area, &mut chart, &names, ("", &|y| format!("{}", (y * 1e3).round() / 1e3)))?;
