@@ -5,6 +5,7 @@ use std::time::Instant;
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
 use candle_nn::VarMap;
+use egotac_kernels::ops;
 
 use super::batch::Batch;
 use super::config::{Config, LossWeights};
@@ -23,7 +24,7 @@ use crate::model::{self, EgoTac, Precision};
 pub struct Pass<'a> {
     /// The network.
     pub network: &'a EgoTac,
-    /// Its weights and those of the keypoint heads, which a pass in bf16 rounds.
+    /// Its weights and those of the keypoint heads, which a pass in bf16 rounds on a GPU.
     pub variables: &'a VarMap,
     /// Encodes the frames if the encoder does not learn; without it, the encoder of `network` learns.
     pub fixed_encoder: Option<&'a FixedEncoder>,
@@ -186,6 +187,8 @@ impl Pass<'_> {
     fn run_share(&self, batch: Batch, counts: &Counts, share: f64, precision: Precision) -> Result<PassOutput> {
         // On a thread of the rayon pool: from another thread, each of some thousand operations would wake the pool.
         rayon::scope(|_| match precision {
+            // On a CPU only products gain from bf16.
+            Precision::Bf16 if self.device.is_cpu() => ops::in_bf16(|| self.run_here(batch, counts, share)),
             Precision::Bf16 => {
                 // A new cast for each batch, because a step changes the f32 weights.
                 let vb = model::init::cast_builder(self.variables, DType::BF16, self.device);

@@ -159,6 +159,19 @@ proptest! {
     }
 
     #[test]
+    fn layers_that_multiply_in_bf16_agree_with_f64_within_its_rounding(
+        (b, n, heads, size) in (1usize..4, 1usize..90, 1usize..4, 1usize..20), k in 1usize..80, seed in 0u64..1000,
+    ) {
+        let d = heads * size;
+        let layer = tensors(&[vec![b, n, k], vec![d, k], vec![d]], seed, 1.0);
+        assert_agree_above(1.0, "linear", &layer, &|t| ops::in_bf16(|| linear(t)), &linear_plain, 2e-2);
+        assert_agree_above(1.0, "gelu", &layer, &|t| ops::in_bf16(|| gelu(t)), &gelu_plain, 2e-2);
+        let projected = tensors(&[vec![b, n, k], vec![3 * d, k], vec![3 * d]], seed, 1.0);
+        let attended = |t: &[Tensor]| ops::in_bf16(|| attention(t, heads));
+        assert_agree_above(1.0, "self-attention", &projected, &attended, &|t| attention_plain(t, heads), 2e-2);
+    }
+
+    #[test]
     fn gradients_agree_with_finite_differences(
         (b, n, heads, size) in (1usize..3, 2usize..12, 1usize..3, 2usize..6), seed in 0u64..1000,
     ) {

@@ -4,8 +4,8 @@
     python crates/bench/benches/peer.py --preset tiny --threads 2 [--runs 20] [--openvino [--nncf]]
     python crates/bench/benches/peer.py --preset tiny --threads 2 --train [--batch 4] [--runs 3]
 
-With --cuda INDEX both run on a GPU, in --precision f32 or bf16 (a training step: autocast, with weights in f32), and
---compile compiles the network with torch.compile.
+With --cuda INDEX both run on a GPU. --precision f32 or bf16 is the number format on a GPU, and of a training step everywhere
+(bf16: autocast, with weights in f32). --compile compiles the network with torch.compile.
 
 Needs torch and transformers, openvino for its encoder in f32 and bf16, and nncf for its encoder in 8 bits. Prints medians
 in ms and the largest resident memory in MB (2^20 bytes) as JSON: encoder_ms one frame, streaming_ms one more frame of a stream whose other frames' tokens are kept,
@@ -175,7 +175,7 @@ def main():
     parser.add_argument("--train", action="store_true", help="time a training step in place of all else")
     parser.add_argument("--batch", type=int, default=4, help="windows of a training step")
     parser.add_argument("--cuda", type=int, metavar="INDEX", help="run on this GPU")
-    parser.add_argument("--precision", default="f32", choices=["f32", "bf16"], help="number format on a GPU")
+    parser.add_argument("--precision", default="f32", choices=["f32", "bf16"], help="number format on a GPU, and of a training step")
     parser.add_argument("--compile", action="store_true", help="compile the network with torch.compile")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)

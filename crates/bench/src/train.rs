@@ -1,5 +1,6 @@
 //! Time of a training step: on windows with frames of their own, on windows that share the frames of a clip, and a peer's.
 
+use std::ffi::OsString;
 use std::time::Instant;
 
 use candle_core::Device;
@@ -59,11 +60,28 @@ pub struct Timed {
     pub windows_per_s: f64,
 }
 
-/// Results of one preset beside the peer.
+/// Networks to measure, and how.
+#[derive(Debug, Clone, Copy)]
+pub struct Plan<'a> {
+    /// Presets, with random weights.
+    pub presets: &'a [String],
+    /// Number formats of forward and backward pass.
+    pub precisions: &'a [Precision],
+    /// Threads of ours and of the peer.
+    pub threads: usize,
+    /// Steps per round and form.
+    pub runs: usize,
+    /// Command of a peer, and rounds in which it takes turns with ours.
+    pub peer: Option<(&'a str, usize)>,
+}
+
+/// Results of one preset in one number format beside the peer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// Name of the preset.
     pub preset: String,
+    /// Number format of forward and backward pass.
+    pub precision: Precision,
     /// 4 windows with frames of their own; one value per round.
     pub own: Vec<Timed>,
     /// 13 windows (T = 4) of a clip's 16 frames; one value per round.
@@ -85,7 +103,7 @@ pub struct TrainReport {
     pub threads: usize,
     /// Steps per round and form.
     pub runs: usize,
-    /// One row per preset.
+    /// One row per preset and number format.
     pub rows: Vec<Row>,
 }
 
@@ -132,29 +150,23 @@ pub fn step(geometry: &Config, form: Form, runs: usize, precision: Precision, de
     Ok(Timed { step_ms, windows_per_s: 1e3 * windows as f64 / step_ms })
 }
 
-/// Times every preset in both forms, in turn with the command of `peer`, for that many rounds.
+/// Times every preset in every number format and both forms, in turn with the peer. `command` measures the same again.
 ///
 /// # Errors
 /// If a preset is unknown, and as [`step`], and if the peer fails.
-pub fn measure(
-    command: String,
-    presets: &[String],
-    threads: usize,
-    runs: usize,
-    peer: Option<(&str, usize)>,
-    mut progress: impl FnMut(&str),
-) -> Result<TrainReport> {
+pub fn measure(command: String, plan: Plan, mut progress: impl FnMut(&str)) -> Result<TrainReport> {
     memory::keep(true);
+    let Plan { presets, precisions, threads, runs, peer } = plan;
     let mut rows = Vec::new();
-    for preset in presets {
+    for (preset, precision) in presets.iter().flat_map(|preset| precisions.iter().map(move |it| (preset, *it))) {
         let geometry = Config::preset(preset)?;
-        let mut row = Row { preset: preset.clone(), own: vec![], shared: vec![], peer: vec![] };
+        let mut row = Row { preset: preset.clone(), precision, own: vec![], shared: vec![], peer: vec![] };
         for _ in 0..peer.map_or(1, |(_, rounds)| rounds.max(1)) {
-            progress(preset);
-            row.own.push(step(&geometry, Form::OWN, runs, Precision::F32, &Device::Cpu)?);
-            row.shared.push(step(&geometry, Form::shared(&geometry), runs, Precision::F32, &Device::Cpu)?);
+            progress(&format!("{preset}, {precision}"));
+            row.own.push(step(&geometry, Form::OWN, runs, precision, &Device::Cpu)?);
+            row.shared.push(step(&geometry, Form::shared(&geometry), runs, precision, &Device::Cpu)?);
             if let Some((command, _)) = peer {
-                row.peer.push(ask(command, preset, threads, runs)?);
+                row.peer.push(ask(command, preset, precision, threads, runs)?);
             }
         }
         rows.push(row);
@@ -169,9 +181,10 @@ impl TrainReport {
             "# What a training step costs\n\nWritten by `{}`: {} threads, {} steps per round and form, median of the steps and \
              best of the rounds,\negotac {}, {}. Numbers: `train.json`.\n\n\
              *Own*: {WINDOWS} windows with frames of their own. *Shared*: all windows of a clip of {CLIP} frames, each encoded \
-             once. The peer takes\n{WINDOWS} windows with frames of their own. A step is forward, objective, backward, clipping and \
-             AdamW, f32, on random pictures.\n\n\
-             | preset | own, windows/s | shared, windows/s | peer, windows/s | own / peer | shared / peer |\n|---|---|---|---|---|---|\n",
+             once. The peer takes\n{WINDOWS} windows with frames of their own, in the same number format. A step is forward, objective, backward, clipping and \
+             AdamW\non random pictures; weights and optimiser are f32.\n\n\
+             | preset | precision | own, windows/s | shared, windows/s | peer, windows/s | own / peer | shared / peer |\n\
+             |---|---|---|---|---|---|---|\n",
             self.command, self.threads, self.runs, self.egotac, self.machine
         );
         for row in &self.rows {
@@ -181,8 +194,9 @@ impl TrainReport {
             put(
                 &mut text,
                 format_args!(
-                    "| {} | {} | {} | {} | {} | {} |",
+                    "| {} | {} | {} | {} | {} | {} | {} |",
                     row.preset,
+                    row.precision,
                     value(own),
                     value(shared),
                     value(peer),
@@ -228,11 +242,15 @@ fn batch(geometry: &Config, form: Form) -> Batch {
     }
 }
 
-/// Runs the peer as `command --train --preset NAME --threads N --runs R --batch 4` and reads the JSON object on its last line.
-fn ask(command: &str, preset: &str, threads: usize, runs: usize) -> Result<Timed> {
+/// Runs the peer as `command --train --preset NAME --precision FORMAT --threads N --runs R --batch 4` and reads the JSON object on its
+/// last line.
+fn ask(command: &str, preset: &str, precision: Precision, threads: usize, runs: usize) -> Result<Timed> {
     let [count, runs, batch] = [threads, runs, WINDOWS].map(|count| count.to_string());
-    let arguments = ["--train", "--preset", preset, "--threads", &count, "--runs", &runs, "--batch", &batch];
-    peer::ask(command, &arguments.map(Into::into), threads)
+    let (network, steps) =
+        (["--preset", preset, "--precision", precision.name()], ["--runs", &runs, "--batch", &batch]);
+    let arguments = [["--train", "--threads", &count].as_slice(), &network, &steps].concat();
+    let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
+    peer::ask(command, &arguments, threads)
 }
 
 #[cfg(test)]
@@ -251,8 +269,10 @@ mod tests {
 
     #[test]
     fn a_step_of_the_smallest_network_is_timed() {
-        let timed = step(&Config::toy(), Form::shared(&Config::toy()), 1, Precision::F32, &Device::Cpu).unwrap();
-        // toy has T = 3: 14 windows.
-        assert!((timed.windows_per_s * timed.step_ms - 14_000.0).abs() < 1e-6);
+        for precision in [Precision::F32, Precision::Bf16] {
+            let timed = step(&Config::toy(), Form::shared(&Config::toy()), 1, precision, &Device::Cpu).unwrap();
+            // toy has T = 3: 14 windows.
+            assert!((timed.windows_per_s * timed.step_ms - 14_000.0).abs() < 1e-6);
+        }
     }
 }

@@ -1,6 +1,9 @@
 //! Arrays that begin on a cache line, so that no vector load crosses one.
 
 use std::marker::PhantomData;
+use std::mem::MaybeUninit;
+
+use rayon::prelude::*;
 
 /// A cache line.
 #[derive(Debug, Clone, Copy)]
@@ -35,6 +38,36 @@ impl<T: Number> Aligned<T> {
     pub fn zeros(len: usize) -> Self {
         let lines = (len * size_of::<T>()).div_ceil(size_of::<Line>());
         Self { lines: vec![Line([0; 64]); lines], len, kind: PhantomData }
+    }
+}
+
+impl<T: Number> Aligned<T> {
+    /// Creates an array of pieces of these lengths, which fill whole cache lines. `f` writes each on one of rayon's threads, given its
+    /// number and its zeros: zeros that one thread wrote for all would have left the caches before use.
+    ///
+    /// # Panics
+    /// If a piece ends within a cache line.
+    pub fn by_pieces(lengths: impl Iterator<Item = usize>, f: impl Fn(usize, &mut [T]) + Sync) -> Self {
+        let per_line = size_of::<Line>() / size_of::<T>();
+        let pieces: Vec<usize> = lengths
+            .map(|length| {
+                assert!(length.is_multiple_of(per_line), "a piece of {length} values ends within a cache line");
+                length / per_line
+            })
+            .collect();
+        let count = pieces.iter().sum();
+        let mut lines: Vec<Line> = Vec::with_capacity(count);
+        let mut rest = &mut lines.spare_capacity_mut()[..count];
+        let rooms: Vec<_> = pieces.into_iter().map(|piece| rest.split_off_mut(..piece).unwrap_or_default()).collect();
+        rooms.into_par_iter().enumerate().for_each(|(index, room)| {
+            room.fill(MaybeUninit::new(Line([0; 64])));
+            // SAFETY: the line above initialised all of `room`, which this task alone borrows. A line is aligned to 64 bytes, more than
+            // any `Number` needs, and every byte pattern is a value of a `Number`, which is sealed.
+            f(index, unsafe { std::slice::from_raw_parts_mut(room.as_mut_ptr().cast(), room.len() * per_line) });
+        });
+        // SAFETY: the capacity is at least `count`, and the pieces, all of the first `count` lines, were initialised above.
+        unsafe { lines.set_len(count) };
+        Self { lines, len: count * per_line, kind: PhantomData }
     }
 }
 

@@ -55,8 +55,9 @@ pub struct Config {
     /// Seconds between observation steps.
     #[serde(default = "default_frame_dt")]
     pub frame_dt: f64,
-    /// Number format of forward and backward pass: f32, or bf16 (half the memory for activations; faster on a GPU, slower
-    /// on the CPU). Weights, optimiser, losses and their gradients are f32 in both cases.
+    /// Number format of forward and backward pass: f32 or bf16. On a GPU, bf16 is faster and takes half the memory for activations. On a
+    /// CPU only the products of linear layers take bf16: faster where the processor has a matrix unit (AMX), elsewhere slower than f32.
+    /// Weights, optimiser, losses and their gradients are f32 in both cases.
     #[serde(default)]
     pub precision: Precision,
     /// Optimisation steps.

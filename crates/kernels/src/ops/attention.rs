@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::cpu::{self, Operand, Operation};
 use super::linear;
-use super::matrix::{Mat, MatMut, Onto, Threads, multiply};
+use super::matrix::{Factors, Mat, MatMut, Onto, Threads, multiply};
 use crate::simd;
 
 /// Most queries of one task: 64 rows of 257 scores are 66 KB, which stay in the cache of a core.
@@ -16,13 +16,15 @@ const TILE: usize = 64;
 /// softmax(q kᵀ / √size) v per head, of q, k and v side by side, `x Wᵀ + b`.
 struct SelfAttention {
     heads: usize,
+    /// Format of the projections' products.
+    factors: Factors,
     /// The projections, kept for the backward pass.
     qkv: OnceLock<Vec<f32>>,
 }
 
 /// See [`super::self_attention`].
 pub fn self_attention(x: &Tensor, weight: &Tensor, bias: &Tensor, heads: usize) -> Result<Tensor> {
-    cpu::apply(SelfAttention { heads, qkv: OnceLock::new() }, [x, weight, bias])
+    cpu::apply(SelfAttention { heads, factors: Factors::current(), qkv: OnceLock::new() }, [x, weight, bias])
 }
 
 /// Sizes of one call: tokens, width, heads, width of a head, and 1/√(width of a head).
@@ -56,7 +58,7 @@ impl Operation for SelfAttention {
         let sizes = self.sizes(projected.dims())?;
         let Sizes { n, d, .. } = sizes;
         let [x, weight, bias] = operands;
-        let qkv = linear::forward(x.values, weight.values, bias.values, weight.dims()[1]);
+        let qkv = linear::forward(x.values, weight, bias, self.factors);
         let mut out = cpu::filled(qkv.len() / 3, cpu::CHUNK, |_, _| {});
         let tile = tile_rows(n);
         let images = out.par_chunks_mut(n * d).zip(qkv.par_chunks(3 * n * d));
@@ -84,13 +86,11 @@ impl Operation for SelfAttention {
             })
         })?;
         let dx = match x.track_op() {
-            true => {
-                let dx = cpu::with_slice(weight, |weight| linear::input_gradient(&dqkv, weight, x))?;
-                Some(cpu::tensor_like(dx, x)?)
-            }
+            true => Some(cpu::tensor_like(linear::input_gradient(&dqkv, weight, x, self.factors)?, x)?),
             false => None,
         };
-        let [dweight, dbias] = cpu::with_slice(x, |x| linear::parameter_gradients(x, weight, bias, &dqkv))?;
+        let [dweight, dbias] =
+            cpu::with_slice(x, |x| linear::parameter_gradients(x, weight, bias, &dqkv, self.factors))?;
         Ok([dx, dweight, dbias])
     }
 }

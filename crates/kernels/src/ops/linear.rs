@@ -4,7 +4,7 @@ use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::cpu::{self, Operand, Operation};
-use super::matrix::{Mat, MatMut, Onto, Threads, multiply, product};
+use super::matrix::{Factors, Mat, product};
 use crate::simd;
 
 /// Largest number of rows for which reading the weights once per row is faster than packing them for a matrix product.
@@ -13,11 +13,13 @@ const FEW_ROWS: usize = 2;
 const WEIGHTS_PER_TASK: usize = 32_768;
 
 /// `x Wᵀ + b`. `x`: `(.., k)`, `weight`: `(n, k)`, `bias`: `(n)`.
-struct Linear;
+struct Linear {
+    factors: Factors,
+}
 
 /// See [`super::linear`].
 pub fn linear(x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
-    cpu::apply(Linear, [x, weight, bias])
+    cpu::apply(Linear { factors: Factors::current() }, [x, weight, bias])
 }
 
 impl Operation for Linear {
@@ -26,16 +28,16 @@ impl Operation for Linear {
     fn forward(&self, operands: [Operand; 3]) -> Result<(Vec<f32>, Shape)> {
         let shape = shape(operands.map(|operand| operand.dims()))?;
         let [x, weight, bias] = operands;
-        Ok((forward(x.values, weight.values, bias.values, weight.dims()[1]), shape))
+        Ok((forward(x.values, weight, bias, self.factors), shape))
     }
 
     fn backward(&self, [x, weight, bias]: [&Tensor; 3], _: &Tensor, grad: &Tensor) -> Result<[Option<Tensor>; 3]> {
         cpu::with_slice(grad, |grad| {
             let dx = match x.track_op() {
-                true => Some(cpu::with_slice(weight, |weight| cpu::tensor_like(input_gradient(grad, weight, x)?, x))?),
+                true => Some(cpu::tensor_like(input_gradient(grad, weight, x, self.factors)?, x)?),
                 false => None,
             };
-            let [dweight, dbias] = cpu::with_slice(x, |x| parameter_gradients(x, weight, bias, grad))?;
+            let [dweight, dbias] = cpu::with_slice(x, |x| parameter_gradients(x, weight, bias, grad, self.factors))?;
             Ok([dx, dweight, dbias])
         })
     }
@@ -52,26 +54,37 @@ pub fn shape([x, weight, bias]: [&[usize]; 3]) -> Result<Shape> {
     }
 }
 
-/// Applies the layer to rows of `k` values.
-pub fn forward(x: &[f32], weight: &[f32], bias: &[f32], k: usize) -> Vec<f32> {
+/// Applies the layer to rows of as many values as a row of the weight has.
+pub fn forward(x: &[f32], weight: Operand, bias: Operand, factors: Factors) -> Vec<f32> {
+    let (n, k) = (bias.values.len(), weight.dims()[1]);
     let rows = x.len() / k.max(1);
-    if rows <= FEW_ROWS { few_rows(x, weight, bias) } else { many_rows(x, weight, bias, rows) }
+    match rows <= FEW_ROWS {
+        true => few_rows(x, weight.values, bias.values),
+        false => product(Mat::new(x, rows, k, k), Mat::new(weight.values, n, k, k).t(), Some(bias.values), factors),
+    }
 }
 
 /// Returns the gradient of the input: that of the output times the weights `(n, k)`.
-pub fn input_gradient(grad: &[f32], weight: &[f32], x: &Tensor) -> Result<Vec<f32>> {
-    let k = x.layout().shape().dims().last().copied().unwrap_or(1).max(1);
-    let (rows, n) = (x.elem_count() / k, weight.len() / k);
-    Ok(product(Mat::new(grad, rows, n, n), Mat::new(weight, n, k, k)))
+pub fn input_gradient(grad: &[f32], weight: &Tensor, x: &Tensor, factors: Factors) -> Result<Vec<f32>> {
+    let (n, k) = weight.dims2()?;
+    let rows = x.elem_count() / k.max(1);
+    cpu::with_slice(weight, |weight| Ok(product(Mat::new(grad, rows, n, n), Mat::new(weight, n, k, k), None, factors)))
 }
 
 /// Returns the gradients of weight and bias; `None` for one that is not a variable.
-pub fn parameter_gradients(x: &[f32], weight: &Tensor, bias: &Tensor, grad: &[f32]) -> Result<[Option<Tensor>; 2]> {
+pub fn parameter_gradients(
+    x: &[f32],
+    weight: &Tensor,
+    bias: &Tensor,
+    grad: &[f32],
+    factors: Factors,
+) -> Result<[Option<Tensor>; 2]> {
     let (n, k) = weight.dims2()?;
     let rows = x.len() / k.max(1);
-    let dweight = weight
-        .track_op()
-        .then(|| cpu::tensor_like(product(Mat::new(grad, rows, n, n).t(), Mat::new(x, rows, k, k)), weight));
+    let dweight = weight.track_op().then(|| {
+        let (grad, x) = (Mat::new(grad, rows, n, n), Mat::new(x, rows, k, k));
+        cpu::tensor_like(product(grad.t(), x, None, factors), weight)
+    });
     let dbias = bias.track_op().then(|| {
         let [sum] = cpu::sum_rows(rows, n, |rows, [sum]| {
             simd::dispatch(
@@ -86,17 +99,6 @@ pub fn parameter_gradients(x: &[f32], weight: &Tensor, bias: &Tensor, grad: &[f3
         cpu::tensor_like(sum, bias)
     });
     Ok([dweight.transpose()?, dbias.transpose()?])
-}
-
-/// Writes the bias into every row, and adds one matrix product.
-fn many_rows(x: &[f32], weight: &[f32], bias: &[f32], rows: usize) -> Vec<f32> {
-    let (n, k) = (bias.len(), x.len() / rows);
-    let mut out = cpu::filled(rows * n, cpu::ROWS * n, |_, out| {
-        out.chunks_exact_mut(n).for_each(|row| row.copy_from_slice(bias));
-    });
-    let (lhs, rhs) = (Mat::new(x, rows, k, k), Mat::new(weight, n, k, k).t());
-    multiply(MatMut::new(&mut out, rows, n, n), Onto::Existing, 1.0, lhs, rhs, Threads::All);
-    out
 }
 
 /// Computes one scalar product per output.

@@ -1,28 +1,14 @@
 //! Matrix products on slices.
 
+use std::cell::Cell;
+
 use gemm::Parallelism;
 
-/// A matrix in a slice; its rows or its columns are contiguous.
-#[derive(Clone, Copy)]
-pub struct Mat<'a> {
-    data: &'a [f32],
-    rows: usize,
-    cols: usize,
-    row_stride: usize,
-    col_stride: usize,
-}
-
-impl<'a> Mat<'a> {
-    /// Views a slice as `rows` rows of `cols` contiguous values, `stride` values from one row to the next.
-    pub fn new(data: &'a [f32], rows: usize, cols: usize, stride: usize) -> Self {
-        Self { data, rows, cols, row_stride: stride, col_stride: 1 }
-    }
-
-    /// Returns the transpose, a view of the same values.
-    pub fn t(self) -> Self {
-        Self { rows: self.cols, cols: self.rows, row_stride: self.col_stride, col_stride: self.row_stride, ..self }
-    }
-}
+use super::cpu;
+use crate::packed::product as unit;
+use crate::quantise::bf16;
+pub use crate::rows::Mat;
+use crate::simd;
 
 /// A matrix to write; its rows are contiguous.
 pub struct MatMut<'a> {
@@ -46,6 +32,41 @@ pub enum Onto {
     Nothing,
     /// The product is added to them.
     Existing,
+}
+
+/// Number format of the factors of a product; values and sums are f32.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Factors {
+    /// f32.
+    Floats,
+    /// Rounded to bf16.
+    Halves,
+}
+
+thread_local! {
+    /// Format for the operations that this thread begins.
+    static FACTORS: Cell<Factors> = const { Cell::new(Factors::Floats) };
+}
+
+impl Factors {
+    /// Returns the format for an operation that begins now on this thread.
+    pub fn current() -> Self {
+        FACTORS.get()
+    }
+}
+
+/// Runs `f`. The linear layers that it begins on this thread, and their gradients, round the factors of their products to bf16, as the
+/// processor's matrix unit takes them; sums and everything else stay f32. Without such a unit the products are no faster than in f32.
+pub fn in_bf16<R>(f: impl FnOnce() -> R) -> R {
+    /// Restores the format, also after a panic.
+    struct Restore(Factors);
+    impl Drop for Restore {
+        fn drop(&mut self) {
+            FACTORS.set(self.0);
+        }
+    }
+    let _restore = Restore(FACTORS.replace(Factors::Halves));
+    f()
 }
 
 /// Threads that a product may use; inside a parallel loop only one.
@@ -74,12 +95,30 @@ pub fn multiply(out: MatMut, onto: Onto, scale: f32, lhs: Mat, rhs: Mat, threads
     unsafe { write(data.as_mut_ptr(), stride, onto, scale, lhs, rhs, threads) }
 }
 
-/// Returns the product, computed on all threads.
+/// Returns the product, plus `bias` in every row if there is one, computed on all threads.
 ///
 /// # Panics
 /// If the shapes don't fit each other or their slices.
-pub fn product(lhs: Mat, rhs: Mat) -> Vec<f32> {
+pub fn product(lhs: Mat, rhs: Mat, bias: Option<&[f32]>, factors: Factors) -> Vec<f32> {
+    match factors {
+        Factors::Floats => in_floats(lhs, rhs, bias),
+        Factors::Halves if unit::available() => unit::product(lhs, rhs, bias),
+        Factors::Halves => {
+            in_floats(Mat { data: &rounded(lhs.data), ..lhs }, Mat { data: &rounded(rhs.data), ..rhs }, bias)
+        }
+    }
+}
+
+/// Returns the product of factors as they are.
+fn in_floats(lhs: Mat, rhs: Mat, bias: Option<&[f32]>) -> Vec<f32> {
     let (rows, cols) = (lhs.rows, rhs.cols);
+    if let Some(bias) = bias {
+        let mut out = cpu::filled(rows * cols, cpu::ROWS * cols, |_, out| {
+            out.chunks_exact_mut(cols).for_each(|row| row.copy_from_slice(bias));
+        });
+        multiply(MatMut::new(&mut out, rows, cols, cols), Onto::Existing, 1.0, lhs, rhs, Threads::All);
+        return out;
+    }
     let mut out: Vec<f32> = Vec::with_capacity(rows * cols);
     if rows > 0 && cols > 0 {
         // SAFETY: the vector has room for `rows` x `cols` values, which nothing else uses and which need no values before.
@@ -88,6 +127,21 @@ pub fn product(lhs: Mat, rhs: Mat) -> Vec<f32> {
     // SAFETY: the capacity is at least `rows` x `cols`, and `write` has written all of them.
     unsafe { out.set_len(rows * cols) };
     out
+}
+
+/// Returns values rounded to bf16, as f32.
+fn rounded(values: &[f32]) -> Vec<f32> {
+    cpu::filled(values.len(), cpu::CHUNK, |index, out| {
+        let values = cpu::block(values, index, cpu::CHUNK);
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for (out, value) in out.iter_mut().zip(values) {
+                    *out = f32::from_bits(u32::from(bf16(*value)) << 16);
+                }
+            },
+        );
+    })
 }
 
 /// Writes all values of a product with at least one row and one column.
@@ -101,13 +155,8 @@ pub fn product(lhs: Mat, rhs: Mat) -> Vec<f32> {
 unsafe fn write(out: *mut f32, stride: usize, onto: Onto, scale: f32, lhs: Mat, rhs: Mat, threads: Threads) {
     let (m, k, n) = (lhs.rows, lhs.cols, rhs.cols);
     assert_eq!(rhs.rows, k, "shapes of a matrix product");
-    let inside = |side: Mat| {
-        side.rows == 0 || side.cols == 0 || {
-            (side.rows - 1) * side.row_stride + (side.cols - 1) * side.col_stride < side.data.len()
-        }
-    };
-    assert!(inside(lhs), "the left side leaves its slice");
-    assert!(inside(rhs), "the right side leaves its slice");
+    assert!(lhs.fits(), "the left side leaves its slice");
+    assert!(rhs.fits(), "the right side leaves its slice");
     let parallelism = match threads {
         Threads::One => Parallelism::None,
         Threads::All => Parallelism::Rayon(0),
@@ -164,10 +213,36 @@ mod tests {
     #[test]
     fn a_new_product_has_all_its_values_even_without_terms() {
         let (a, b) = ([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [1.0, -1.0, 0.5, 2.0, 0.0, 1.0]);
-        let got = product(Mat::new(&a, 2, 3, 3), Mat::new(&b, 3, 2, 2));
-        assert_eq!(got, [2.0, 6.0, 6.5, 12.0]);
-        assert_eq!(product(Mat::new(&[], 2, 0, 0), Mat::new(&[], 0, 3, 3)), [0.0; 6]);
-        assert!(product(Mat::new(&[], 0, 3, 3), Mat::new(&b, 3, 2, 2)).is_empty());
+        for factors in [Factors::Floats, Factors::Halves] {
+            let got = product(Mat::new(&a, 2, 3, 3), Mat::new(&b, 3, 2, 2), None, factors);
+            assert_eq!(got, [2.0, 6.0, 6.5, 12.0]);
+            let got = product(Mat::new(&a, 2, 3, 3), Mat::new(&b, 3, 2, 2), Some(&[1.0, -1.0]), factors);
+            assert_eq!(got, [3.0, 5.0, 7.5, 11.0]);
+            assert_eq!(product(Mat::new(&[], 2, 0, 0), Mat::new(&[], 0, 3, 3), None, factors), [0.0; 6]);
+            assert!(product(Mat::new(&[], 0, 3, 3), Mat::new(&b, 3, 2, 2), None, factors).is_empty());
+        }
+    }
+
+    #[test]
+    fn factors_in_bf16_give_the_same_products_with_and_without_a_matrix_unit() {
+        let a: Vec<f32> = (0..90 * 70).map(|i| (i as f32 * 0.7).sin()).collect();
+        let b: Vec<f32> = (0..70 * 40).map(|i| (i as f32 * 0.3).cos()).collect();
+        let (lhs, rhs) = (Mat::new(&a, 70, 90, 90).t(), Mat::new(&b, 70, 40, 40));
+        assert_eq!((lhs.rows, lhs.cols), (90, 70));
+        let without = in_floats(Mat { data: &rounded(&a), ..lhs }, Mat { data: &rounded(&b), ..rhs }, None);
+        let with = unit::product(lhs, rhs, None);
+        assert!(with.iter().zip(&without).all(|(a, b)| (a - b).abs() < 1e-4));
+        let exact = in_floats(lhs, rhs, None);
+        let largest = |got: &[f32]| got.iter().zip(&exact).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!((1e-3..0.2).contains(&largest(&with)), "{}", largest(&with));
+    }
+
+    #[test]
+    fn the_format_holds_within_the_scope_alone_even_after_a_panic() {
+        assert_eq!(Factors::current(), Factors::Floats);
+        assert_eq!(in_bf16(Factors::current), Factors::Halves);
+        assert!(std::panic::catch_unwind(|| in_bf16(|| panic!("within"))).is_err());
+        assert_eq!(Factors::current(), Factors::Floats);
     }
 
     #[test]

@@ -11,7 +11,7 @@
 //!
 //! Training and inference run the same form. Each fused form has its own backward pass, since candle's fused layer norm and
 //! softmax have none. Between any two operations candle keeps a gradient and sums it from zero; the operations are cut so
-//! that the widest tensors lie inside one.
+//! that the widest tensors lie inside one. [`in_bf16`] lets linear layers in f32 on the CPU multiply in bf16.
 
 mod attention;
 #[allow(unsafe_code)] // the spare capacity of a vector, written on several threads
@@ -30,6 +30,7 @@ use candle_core::{D, Result, Tensor};
 
 pub use cpu::with_slices;
 pub(crate) use layer_norm::statistics;
+pub use matrix::in_bf16;
 
 /// A form of an operation.
 enum Form {

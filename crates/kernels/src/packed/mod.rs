@@ -5,6 +5,7 @@
 //! four inputs, which one instruction consumes; in 16 bits pairs, where the processor has a matrix unit.
 
 mod matrix;
+pub(crate) mod product;
 mod vectors;
 
 use crate::activations::{Activations, Form, Input, Target};
