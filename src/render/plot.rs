@@ -145,24 +145,31 @@ where
 
 /// Space between a chart and the names of its categories, pixels.
 const BELOW: i32 = 8;
+/// Height of the names of many categories, pixels.
+const SMALL_LABEL: u32 = 16;
 /// Most rows of the names of categories.
 const MOST_ROWS: usize = 2;
 
-/// Breaks the names of categories, which are `pitch` pixels apart, into rows; None if they need more than there may be.
-fn rows(names: &[&str], pitch: u32) -> Option<Vec<Vec<String>>> {
+/// Names of categories in rows, and their height, pixels.
+type Rows = (Vec<Vec<String>>, u32);
+
+/// Breaks the names of categories, which are `pitch` pixels apart, into rows, smaller ones if need be; None if they have no room there.
+fn rows(names: &[&str], pitch: u32) -> Option<Rows> {
     let room = pitch.saturating_sub(BELOW as u32);
-    let rows: Vec<_> = names.iter().map(|name| wrapped(name, room, LABEL)).collect();
-    let fits = |rows: &Vec<String>| {
-        rows.len() <= MOST_ROWS && rows.iter().all(|row| font::width(row, f64::from(LABEL)) < room)
-    };
-    rows.iter().all(fits).then_some(rows)
+    [LABEL, SMALL_LABEL].into_iter().find_map(|size| {
+        let rows: Vec<_> = names.iter().map(|name| wrapped(name, room, size)).collect();
+        let fits = |rows: &Vec<String>| {
+            rows.len() <= MOST_ROWS && rows.iter().all(|row| font::width(row, f64::from(size)) <= room)
+        };
+        rows.iter().all(fits).then_some((rows, size))
+    })
 }
 
 /// Returns the height that [`categories`] needs for names that are `pitch` pixels apart.
 pub fn names_height(names: &[&str], pitch: u32) -> u32 {
     let below = BELOW as u32;
     match rows(names, pitch) {
-        Some(rows) => below + MARGIN + LABEL * rows.iter().map(Vec::len).max().unwrap_or(1).max(1) as u32,
+        Some((rows, size)) => below + MARGIN + size * rows.iter().map(Vec::len).max().unwrap_or(1).max(1) as u32,
         None => 2 * below + names.iter().map(|name| font::width(name, f64::from(LABEL))).max().unwrap_or(0),
     }
 }
@@ -200,20 +207,20 @@ where
     let zero = chart.plotting_area().get_y_range().start;
     let place = |index: usize| chart.plotting_area().map_coordinate(&(index as f64, zero)).0 - left;
     let pitch = if names.len() > 1 { place(1).abs_diff(place(0)) } else { u32::MAX };
-    let style = TextStyle::from((FAMILY, LABEL)).color(&BLACK);
+    let style = |size: u32| TextStyle::from((FAMILY, size)).color(&BLACK);
     use plotters::style::text_anchor::{HPos, Pos, VPos};
     let top = bottom - upper + BELOW;
-    let Some(rows) = rows(names, pitch) else {
-        let style = style.transform(FontTransform::Rotate90).pos(Pos::new(HPos::Left, VPos::Center));
+    let Some((rows, size)) = rows(names, pitch) else {
+        let style = style(LABEL).transform(FontTransform::Rotate90).pos(Pos::new(HPos::Left, VPos::Center));
         for (index, name) in names.iter().enumerate() {
             area.draw(&Text::new((*name).to_owned(), (place(index), top), style.clone()))?;
         }
         return Ok(());
     };
-    let style = style.pos(Pos::new(HPos::Center, VPos::Top));
+    let style = style(size).pos(Pos::new(HPos::Center, VPos::Top));
     for (index, rows) in rows.into_iter().enumerate() {
         for (row, line) in rows.into_iter().enumerate() {
-            area.draw(&Text::new(line, (place(index), top + row as i32 * LABEL as i32), style.clone()))?;
+            area.draw(&Text::new(line, (place(index), top + row as i32 * size as i32), style.clone()))?;
         }
     }
     Ok(())
@@ -403,8 +410,13 @@ mod tests {
     fn names_of_categories_take_one_row_two_or_turn() {
         let names = ["by size", "by root of size"];
         let height = |names: &[&str], pitch| names_height(names, pitch);
-        assert_eq!(rows(&names, 400).unwrap(), [vec!["by size"], vec!["by root of size"]]);
-        assert_eq!(rows(&names, 120).unwrap(), [vec!["by size"], vec!["by root of", "size"]]);
+        let [one, two] =
+            [vec![vec!["by size"], vec!["by root of size"]], vec![vec!["by size"], vec!["by root of", "size"]]]
+                .map(|rows| rows.into_iter().map(|row| row.into_iter().map(String::from).collect()).collect());
+        assert_eq!(rows(&names, 400), Some((one, LABEL)));
+        assert_eq!(rows(&names, 120), Some((two, LABEL)));
+        let (small, size) = rows(&names, 74).unwrap();
+        assert!(size == SMALL_LABEL && small[1].len() == 2);
         assert_eq!(rows(&names, 30), None);
         assert!(height(&names, 400) < height(&names, 120) && height(&names, 120) < height(&names, 30));
     }
