@@ -263,7 +263,11 @@ pub fn front_line() -> ShapeStyle {
 
 /// Returns the values with a tick on a logarithmic axis: 1, 2 and 5 times the powers of ten, or those alone where they are many.
 pub fn log_ticks(low: f64, high: f64) -> Vec<f64> {
-    let steps: &[f64] = if high / low < 1e3 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+    let steps: &[f64] = match high / low {
+        ..8.0 => &[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0],
+        8.0..1e3 => &[1.0, 2.0, 5.0],
+        _ => &[1.0],
+    };
     let powers = low.log10().floor() as i32..=high.log10().ceil() as i32;
     powers
         .flat_map(|power| steps.iter().map(move |step| step * 10f64.powi(power)))
@@ -392,7 +396,7 @@ mod tests {
 
     #[test]
     fn a_narrow_logarithmic_axis_has_ticks_too() {
-        assert_eq!(log_ticks(70.0, 300.0), [100.0, 200.0]);
+        assert_eq!(log_ticks(70.0, 300.0), [70.0, 100.0, 150.0, 200.0, 300.0]);
         assert_eq!(log_ticks(4.0, 60.0), [5.0, 10.0, 20.0, 50.0]);
         assert_eq!(log_ticks(0.5, 2000.0), [1.0, 10.0, 100.0, 1000.0]);
     }
@@ -415,8 +419,9 @@ mod tests {
                 .map(|rows| rows.into_iter().map(|row| row.into_iter().map(String::from).collect()).collect());
         assert_eq!(rows(&names, 400), Some((one, LABEL)));
         assert_eq!(rows(&names, 120), Some((two, LABEL)));
-        let (small, size) = rows(&names, 74).unwrap();
-        assert!(size == SMALL_LABEL && small[1].len() == 2);
+        let long = ["decoder more", "decoder half"];
+        let (small, size) = rows(&long, font::width("decoder", f64::from(SMALL_LABEL)) + BELOW as u32).unwrap();
+        assert!(size == SMALL_LABEL && small.iter().all(|rows| rows.len() == 2), "{small:?}");
         assert_eq!(rows(&names, 30), None);
         assert!(height(&names, 400) < height(&names, 120) && height(&names, 120) < height(&names, 30));
     }

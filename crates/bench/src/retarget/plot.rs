@@ -65,8 +65,9 @@ impl Figure for Plot {
         robots.dedup();
         let keys: Vec<(&str, RGBColor)> = robots.iter().copied().zip(PALETTE).collect();
         let body = plot::head(root, "At most 1 to 30 steps of the solver, keypoints with 5 mm noise", &keys)?;
-        let mut chart = plot::chart(&body, "", [60, 104])
-            .build_cartesian_2d((0.8 * left..1.3 * right).log_scale(), (0.5 * LEAST..2.0 * most).log_scale())?;
+        let times = (0.8 * left..1.3 * right).log_scale().with_key_points(plot::log_ticks(0.8 * left, 1.3 * right));
+        let mut chart =
+            plot::chart(&body, "", [60, 104]).build_cartesian_2d(times, (0.5 * LEAST..2.0 * most).log_scale())?;
         let tick = |y: &f64| match *y {
             value if value <= 1.01 * LEAST => format!("\u{2264} {LEAST:.0e}"),
             value if (0.1..100.0).contains(&value) => format!("{value}"),
