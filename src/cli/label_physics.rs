@@ -11,7 +11,7 @@ use super::options::Json;
 use crate::dataset::EpisodeReader;
 use crate::dataset::zarr::ZarrReader;
 use crate::hand::{HandModel, Side, Topology};
-use crate::label::physics::{BodyOptions, Counts, Label, label};
+use crate::label::physics::{BodyOptions, FrameCounts, Label, label};
 use crate::physics::body::DENSITY_CLASSES;
 use crate::physics::{DensityClass, Settings};
 
@@ -122,8 +122,8 @@ pub fn models(store: &ZarrReader, hands: &Hands) -> anyhow::Result<[HandModel; 2
     Ok(models)
 }
 
-fn summary(counts: &Counts, out: &Path) -> String {
-    let Counts { frames, touching, undetermined, unknown } = counts;
+fn summary(counts: &FrameCounts, out: &Path) -> String {
+    let FrameCounts { frames, touching, undetermined, unknown } = counts;
     let mut text = format!(
         "{}: {frames} frames; {touching} hands touch, {undetermined} of them with a squeeze that motion does not tell\n",
         out.display()

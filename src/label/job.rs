@@ -277,13 +277,13 @@ mod tests {
     const STOP: usize = 7;
 
     /// A source with an image that can't be decoded; its medium fails at an image as long as `fails`.
-    struct Source {
+    struct FailingSource {
         units: [Unit; 1],
         file: PathBuf,
         fails: AtomicBool,
     }
 
-    impl ImageSource for Source {
+    impl ImageSource for FailingSource {
         fn units(&self) -> &[Unit] {
             &self.units
         }
@@ -309,7 +309,7 @@ mod tests {
         }
     }
 
-    fn run(source: &Arc<Source>, out: &Path) -> Result<(Outcome, u64)> {
+    fn run(source: &Arc<FailingSource>, out: &Path) -> Result<(Outcome, u64)> {
         let mut predictor = Predictor::load(&shipped::path()?, Options::default())?;
         let job = Job {
             source: source.as_ref(),
@@ -329,7 +329,7 @@ mod tests {
         let [file, out, whole] = ["input", "out", "whole"].map(|name| folder.path().join(name));
         fs::write(&file, b"content").unwrap();
         let units = [Unit { name: "the only unit".into(), frames: Some(FRAMES) }];
-        let source = Arc::new(Source { units, file: file.clone(), fails: AtomicBool::new(true) });
+        let source = Arc::new(FailingSource { units, file: file.clone(), fails: AtomicBool::new(true) });
         for _ in 0..2 {
             let error = run(&source, &out).unwrap_err().to_string();
             assert_eq!(

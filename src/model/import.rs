@@ -47,7 +47,7 @@ pub struct Mapping {
     config: Config,
     sidecar: Sidecar,
     #[serde(default)]
-    tensors: BTreeMap<String, Source>,
+    tensors: BTreeMap<String, TensorSource>,
     #[serde(default)]
     same: bool,
     #[serde(default)]
@@ -99,14 +99,14 @@ enum HandOrder {
 /// Source of a tensor.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(untagged)]
-enum Source {
+enum TensorSource {
     Name(String),
-    Part(Part),
+    Part(TensorPart),
 }
 
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Part {
+struct TensorPart {
     from: String,
     /// Index of the part, and number of equal parts along the first dimension.
     part: Option<(usize, usize)>,
@@ -125,7 +125,7 @@ impl Mapping {
         mapping.config.check().map_err(|error| Error::file(path, error))?;
         mapping.metadata().map_err(|error| Error::file(path, error))?;
         for source in mapping.tensors.values() {
-            if let Source::Part(Part { part: Some((index, of)), .. }) = source
+            if let TensorSource::Part(TensorPart { part: Some((index, of)), .. }) = source
                 && index >= of
             {
                 return Err(Error::file(
@@ -190,14 +190,14 @@ impl Mapping {
     }
 
     /// Finds the source of the tensor of this name.
-    fn source(&self, name: &str) -> Option<Part> {
-        let plain = |from: String| Part { from, part: None, transpose: false };
+    fn source(&self, name: &str) -> Option<TensorPart> {
+        let plain = |from: String| TensorPart { from, part: None, transpose: false };
         for (pattern, source) in &self.tensors {
             let Some(number) = matched(pattern, name) else { continue };
             let fill = |text: &str| text.replace("{i}", &number);
             return Some(match source {
-                Source::Name(from) => plain(fill(from)),
-                Source::Part(part) => Part { from: fill(&part.from), ..part.clone() },
+                TensorSource::Name(from) => plain(fill(from)),
+                TensorSource::Part(part) => TensorPart { from: fill(&part.from), ..part.clone() },
             });
         }
         self.same.then(|| plain(name.to_owned()))
@@ -224,7 +224,7 @@ fn matched(pattern: &str, name: &str) -> Option<String> {
 }
 
 /// Takes the part that `source` names and gives it the shape `dims`; None if shapes differ in more than dimensions of 1.
-fn take(tensor: &Tensor, source: &Part, dims: &[usize]) -> Result<Option<Tensor>> {
+fn take(tensor: &Tensor, source: &TensorPart, dims: &[usize]) -> Result<Option<Tensor>> {
     let mut tensor = tensor.clone();
     if let Some((index, of)) = source.part {
         match tensor.dims().first() {

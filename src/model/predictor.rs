@@ -13,7 +13,7 @@ use std::sync::Arc;
 use ::image::RgbImage;
 use candle_core::{Device, Tensor};
 
-use super::engine::Part;
+use super::engine::ChangedPatches;
 use super::presence::N_POINTS;
 use super::stages::FrameTokens;
 use super::unknown::Unknown;
@@ -379,7 +379,7 @@ impl Predictor {
         // The image before a new stream says nothing about this one.
         let continues = !self.restarts_after(self.frames.stamps().last(), stamp_secs);
         if let Some(Before { after, near, tokens }) = self.focused.before().filter(|_| continues)
-            && let Some(tokens) = self.model().part_tokens(image, Part { after, patches: near }, tokens)?
+            && let Some(tokens) = self.model().part_tokens(image, ChangedPatches { after, patches: near }, tokens)?
         {
             let patches = (self.config().image / self.config().patch).pow(2);
             return Ok((tokens, near.len() as f32 / patches as f32));

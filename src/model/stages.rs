@@ -6,7 +6,7 @@
 use candle_core::{DType, Device, Tensor};
 use egotac_kernels::ops::with_slices;
 
-use super::engine::Part;
+use super::engine::ChangedPatches;
 use super::heads::HeadOutputs;
 use super::{EgoTac, Form, Layers};
 use crate::error::{Error, Result};
@@ -111,7 +111,12 @@ impl EgoTac {
     ///
     /// # Errors
     /// As [`EgoTac::encode`].
-    pub(crate) fn part_tokens(&self, frame: &Tensor, part: Part, earlier: &FrameTokens) -> Result<Option<FrameTokens>> {
+    pub(crate) fn part_tokens(
+        &self,
+        frame: &Tensor,
+        part: ChangedPatches,
+        earlier: &FrameTokens,
+    ) -> Result<Option<FrameTokens>> {
         let Form::Compiled(engine) = &self.form else { return Ok(None) };
         self.check_frames(frame)?;
         let encoded = with_slices(&[frame], |values| engine.encode_part(values[0], part, &earlier.encoded))?;

@@ -14,7 +14,7 @@ const CELLS: usize = 28;
 
 /// A rigid body with its shape in its own frame.
 #[derive(Debug, Clone)]
-pub struct Body {
+pub struct RigidBody {
     /// Name.
     pub name: String,
     /// Shape; `None` = unknown.
@@ -89,7 +89,7 @@ impl DensityClass {
     }
 }
 
-impl Body {
+impl RigidBody {
     /// Creates a free body of unknown mass from a mesh: `vertices`, m, and triangles, counter-clockwise seen from outside.
     ///
     /// # Errors

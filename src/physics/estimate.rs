@@ -108,7 +108,7 @@ struct Prepared<'a> {
 
 impl<'a> Prepared<'a> {
     fn new(take: &'a Take<'a>, settings: &'a Settings) -> Self {
-        let motion = |(body, poses): (&super::body::Body, &Vec<Option<Pose>>)| {
+        let motion = |(body, poses): (&super::body::RigidBody, &Vec<Option<Pose>>)| {
             let centre = body.mass.filter(|_| body.held.is_none())?.centre;
             Some(Motion::new(&take.times, poses, centre, settings.bandwidth))
         };

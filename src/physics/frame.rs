@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use nalgebra::{Matrix6, Vector6};
 
-use super::body::Body;
+use super::body::RigidBody;
 use super::cone::Cone;
 use super::contacts::Contact;
 use super::demand::Demand;
@@ -72,7 +72,7 @@ pub type Memory = BTreeMap<Pusher, Vec<f64>>;
 
 /// Estimates the forces on a free body whose motion asks for `demand`. `memory`: forces of a neighbouring frame, and the time to it, s.
 pub fn estimate(
-    body: &Body,
+    body: &RigidBody,
     demand: &Demand,
     contacts: &[Contact],
     memory: Option<(&Memory, f64)>,
@@ -172,7 +172,7 @@ impl Sample {
 
 /// Parts of the problem that all samples share.
 struct Problem<'a> {
-    body: &'a Body,
+    body: &'a RigidBody,
     centre: DVec3,
     contacts: &'a [Contact],
     load: f64,

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::body::Body;
+use super::body::RigidBody;
 use super::pose::{Pose, PoseNoise};
 use super::take::{Fixed, Take};
 use crate::error::Result;
@@ -87,7 +87,7 @@ impl Support {
 
     /// Finds the height of the support under bodies at rest for a known direction `up`; `None` if nothing rests.
     pub fn below(take: &Take, up: DVec3) -> Option<Self> {
-        let lowest = |(body, pose, _): (&Body, Pose, f64)| {
+        let lowest = |(body, pose, _): (&RigidBody, Pose, f64)| {
             body.samples.iter().map(|p| up.dot(pose.point(p.as_dvec3()))).fold(f64::INFINITY, f64::min)
         };
         let heights: Vec<f64> = resting(take).into_iter().map(lowest).filter(|height| height.is_finite()).collect();
@@ -111,7 +111,7 @@ impl Support {
 }
 
 /// Returns bodies at instants of rest without a hand near, each with its pose and the standard deviation of its position, m.
-fn resting<'a>(take: &'a Take) -> Vec<(&'a Body, Pose, f64)> {
+fn resting<'a>(take: &'a Take) -> Vec<(&'a RigidBody, Pose, f64)> {
     let mut found = Vec::new();
     for (body, poses) in take.bodies.iter().zip(&take.poses) {
         if body.solid.is_none() || body.samples.is_empty() {
@@ -142,7 +142,7 @@ fn resting<'a>(take: &'a Take) -> Vec<(&'a Body, Pose, f64)> {
 }
 
 /// True if no hand is near a body.
-fn is_free(take: &Take, body: &Body, pose: &Pose, frame: usize) -> bool {
+fn is_free(take: &Take, body: &RigidBody, pose: &Pose, frame: usize) -> bool {
     let Some(solid) = &body.solid else { return false };
     Side::BOTH.into_iter().all(|side| {
         let vertices = take.vertices(side, frame).unwrap_or_default();

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::body::Body;
+use super::body::RigidBody;
 use super::contacts::Contact;
 use super::frame::{BodyEstimate, LinkEstimate};
 use super::patch::Pusher;
@@ -104,7 +104,7 @@ impl HandSum {
     }
 
     /// Adds the forces of `body` on the hand; `near`: its contacts.
-    pub fn add(&mut self, body: &Body, near: &[Contact], estimate: &BodyEstimate, settings: &Settings) {
+    pub fn add(&mut self, body: &RigidBody, near: &[Contact], estimate: &BodyEstimate, settings: &Settings) {
         self.check_depth(near);
         // A body at rest that no hand is near stands on something unrecorded: it says nothing about this hand.
         let concerns = estimate.moves || near.iter().any(|contact| self.joint(contact.patch.pusher).is_some());

@@ -26,7 +26,7 @@ pub mod spline;
 pub mod take;
 pub mod validity;
 
-pub use body::{Body, DensityClass, Mass};
+pub use body::{DensityClass, Mass, RigidBody};
 pub use demand::Demand;
 pub use estimate::{Estimate, FrameEstimate, lagged, whole};
 pub use hand_forces::{HandForces, LinkForce};

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::body::{Body, distance_and_normal};
+use super::body::{RigidBody, distance_and_normal};
 use super::pose::Pose;
 use super::take::{Fixed, Take};
 use crate::geometry::Solid;
@@ -44,7 +44,7 @@ pub fn hand_patches(
     vertices: &[Vec3],
     link_of: &[usize],
     side: Side,
-    body: &Body,
+    body: &RigidBody,
     pose: &Pose,
     reach: f64,
 ) -> Vec<Patch> {
@@ -76,7 +76,14 @@ pub fn hand_patches(
 }
 
 /// Finds the patch of a body on a fixed thing or another body; gaps up to `reach`, m, count.
-pub fn support_patch(body: &Body, pose: &Pose, pusher: Pusher, solid: &Solid, at: &Pose, reach: f64) -> Option<Patch> {
+pub fn support_patch(
+    body: &RigidBody,
+    pose: &Pose,
+    pusher: Pusher,
+    solid: &Solid,
+    at: &Pose,
+    reach: f64,
+) -> Option<Patch> {
     let (centre, radius) = ball_around(&body.samples);
     if !solid.may_reach(at.local(pose.point(centre)).as_vec3(), radius, reach as f32) {
         return None;

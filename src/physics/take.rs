@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::body::Body;
+use super::body::RigidBody;
 use super::pose::Pose;
 use crate::error::Result;
 use crate::geometry::Solid;
@@ -18,7 +18,7 @@ pub struct Take<'a> {
     /// Parameters of the left and the right hand at each frame.
     pub hands: [Vec<Tracked>; 2],
     /// Bodies that the hands may touch.
-    pub bodies: Vec<Body>,
+    pub bodies: Vec<RigidBody>,
     /// Pose of each body at each frame; `None` = unknown.
     pub poses: Vec<Vec<Option<Pose>>>,
     /// Things that stay where they are, such as the table.

@@ -5,14 +5,14 @@ use super::object::Mount;
 use super::randomize::{EpisodeDraw, ObjectDraw};
 use crate::error::Result;
 use crate::geometry::{SPACING, Solid};
-use crate::physics::{Body, Fixed, Pose};
+use crate::physics::{Fixed, Pose, RigidBody};
 
 /// Returns the solid objects of an episode as bodies, in the order in which stores hold their poses, and the things that
 /// stay where they are. Masses and friction are those of the simulation.
 ///
 /// # Errors
 /// If a shape has no surface.
-pub fn bodies(episode: &EpisodeDraw) -> Result<(Vec<Body>, Vec<Fixed>)> {
+pub fn bodies(episode: &EpisodeDraw) -> Result<(Vec<RigidBody>, Vec<Fixed>)> {
     let mut table = Solid::default();
     table.add_cuboid(TABLE_HALF.as_vec3(), super::convex::pose(TABLE_CENTRE, glam::DQuat::IDENTITY))?;
     let mut fixed = vec![Fixed { name: "table".into(), solid: table, pose: Pose::IDENTITY }];
@@ -28,9 +28,9 @@ pub fn bodies(episode: &EpisodeDraw) -> Result<(Vec<Body>, Vec<Fixed>)> {
     Ok((bodies, fixed))
 }
 
-fn body(object: &ObjectDraw) -> Result<Body> {
+fn body(object: &ObjectDraw) -> Result<RigidBody> {
     let samples = object.shape.sampled_surface(SPACING)?.points().to_vec();
-    let mut body = Body::from_solid(&object.name, object.shape.solid()?, samples).with_mass(object.mass, 0.0)?;
+    let mut body = RigidBody::from_solid(&object.name, object.shape.solid()?, samples).with_mass(object.mass, 0.0)?;
     body.friction = object.friction;
     body.held = match object.shape.mount {
         Mount::Free => None,

@@ -25,7 +25,7 @@ const BLOCK: usize = 64;
 
 /// One hand in one episode.
 #[derive(Debug, Clone, PartialEq)]
-struct Part {
+struct CropPart {
     /// Frames of the episode within the store.
     frames: Range<usize>,
     side: Side,
@@ -153,7 +153,7 @@ pub fn hand_squares(reader: &ZarrReader) -> Result<Vec<Vec<Square>>> {
 }
 
 /// Returns the hands in view, episode by episode, left before right.
-fn parts(reader: &ZarrReader) -> Result<Vec<Part>> {
+fn parts(reader: &ZarrReader) -> Result<Vec<CropPart>> {
     let (height, width) = reader.image_size();
     // Places are then shares of the picture's own sides.
     let whole =
@@ -163,7 +163,7 @@ fn parts(reader: &ZarrReader) -> Result<Vec<Part>> {
     for frames in episode_ranges(reader.episode_ends()) {
         for side in Side::BOTH {
             if let Some(squares) = squares(&points[frames.clone()], side, width as u32, height as u32) {
-                parts.push(Part { frames: frames.clone(), side, squares });
+                parts.push(CropPart { frames: frames.clone(), side, squares });
             }
         }
     }

@@ -24,7 +24,7 @@ use crate::model::Config;
 use crate::model::init::STD;
 
 use super::augment::Augmentation;
-use super::loss::{Counts, masked_mean};
+use super::loss::{SupervisedCounts, masked_mean};
 
 /// Points per frame: the keypoints of the left hand, of the right hand, and the first object's origin.
 pub const N_POINTS: usize = 2 * N_KEYPOINTS + 1;
@@ -196,7 +196,7 @@ impl Heads {
         points: &[Points],
         z: &Tensor,
         newest: &[Points],
-        counts: &Counts,
+        counts: &SupervisedCounts,
     ) -> Result<KeypointLoss> {
         let cls_tokens = tokens.narrow(1, 0, 1)?.squeeze(1)?.contiguous()?;
         let patch = patch_loss(tokens, points, &self.patch, counts.points)?;

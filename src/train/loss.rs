@@ -23,7 +23,7 @@ pub struct Targets {
 /// weighs, so that a term is the weighted mean. Those of several ranks add up: each rank
 /// divides its sums by the counts of all, and the sum of the ranks' terms is the term of the whole batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Counts {
+pub struct SupervisedCounts {
     /// Entries whose force is supervised.
     pub force: f64,
     /// Entries whose contact is supervised.
@@ -36,7 +36,7 @@ pub struct Counts {
     pub newest_points: f64,
 }
 
-impl Counts {
+impl SupervisedCounts {
     /// Counts the supervised entries of a batch's labels: `force` in normalised units, and masks or weights, 0 to 1.
     pub fn of(force: &[f32], mask_force: &[f32], mask_contact: &[f32], force_scale: f32) -> Self {
         let threshold = CONTACT_FORCE_N / force_scale;
@@ -56,7 +56,7 @@ impl Counts {
         [force, contact, active, points, newest_points]
     }
 
-    /// Creates counts from the array of [`Counts::values`].
+    /// Creates counts from the array of [`SupervisedCounts::values`].
     pub fn from_values([force, contact, active, points, newest_points]: [f64; 5]) -> Self {
         Self { force, contact, active, points, newest_points }
     }
@@ -93,7 +93,7 @@ pub fn objective(
 ) -> Result<Objective> {
     let [values, mask_force, mask_contact] =
         [&truth.force, &truth.mask_force, &truth.mask_contact].map(|tensor| tensor.flatten_all()?.to_vec1::<f32>());
-    let counts = Counts::of(&values?, &mask_force?, &mask_contact?, force_scale);
+    let counts = SupervisedCounts::of(&values?, &mask_force?, &mask_contact?, force_scale);
     objective_of_share(force, contact_logits, truth, force_scale, weights, &counts)
 }
 
@@ -107,7 +107,7 @@ pub fn objective_of_share(
     truth: &Targets,
     force_scale: f32,
     weights: &LossWeights,
-    counts: &Counts,
+    counts: &SupervisedCounts,
 ) -> Result<Objective> {
     let error = (force - &truth.force)?;
     let l_force = masked_mean(&error.sqr()?, &truth.mask_force, counts.force)?;

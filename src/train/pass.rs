@@ -13,7 +13,7 @@ use super::fixed_encoder::FixedEncoder;
 use super::gradients::Gradients;
 use super::keypoints::{self, Heads, Points};
 use super::loader::Loader;
-use super::loss::{Counts, objective_of_share};
+use super::loss::{SupervisedCounts, objective_of_share};
 use super::optimizer::AdamW;
 use super::ranks::Communicator;
 use crate::error::Result;
@@ -152,7 +152,7 @@ impl Pass<'_> {
             let exchanging = Instant::now();
             let mut counts = self.counts(&batch).values();
             ranks.sum_f64(&mut counts)?;
-            let counts = Counts::from_values(counts);
+            let counts = SupervisedCounts::from_values(counts);
             sum.exchange_secs += exchanging.elapsed().as_secs_f64();
             if batch.windows.is_empty() {
                 continue;
@@ -176,15 +176,25 @@ impl Pass<'_> {
     }
 
     /// Counts the supervised entries of a batch.
-    fn counts(&self, batch: &Batch) -> Counts {
+    fn counts(&self, batch: &Batch) -> SupervisedCounts {
         let Batch { force, mask_force, mask_contact, points, .. } = batch;
         let newest = newest_points(batch, points, self.geometry.horizon);
         let [points, newest_points] = [points, &newest].map(|points| keypoints::in_image(points) as f64);
-        Counts { points, newest_points, ..Counts::of(force, mask_force, mask_contact, self.force_scale) }
+        SupervisedCounts {
+            points,
+            newest_points,
+            ..SupervisedCounts::of(force, mask_force, mask_contact, self.force_scale)
+        }
     }
 
     /// As [`Pass::run`], on a part of a batch that has `counts` in all.
-    fn run_share(&self, batch: Batch, counts: &Counts, share: f64, precision: Precision) -> Result<PassOutput> {
+    fn run_share(
+        &self,
+        batch: Batch,
+        counts: &SupervisedCounts,
+        share: f64,
+        precision: Precision,
+    ) -> Result<PassOutput> {
         // On a thread of the rayon pool: from another thread, each of some thousand operations would wake the pool.
         rayon::scope(|_| match precision {
             // On a CPU only products gain from bf16.
@@ -199,7 +209,7 @@ impl Pass<'_> {
         })
     }
 
-    fn run_here(&self, mut batch: Batch, counts: &Counts, share: f64) -> Result<PassOutput> {
+    fn run_here(&self, mut batch: Batch, counts: &SupervisedCounts, share: f64) -> Result<PassOutput> {
         let Self { network, geometry, .. } = self;
         let (points, keys) = (std::mem::take(&mut batch.points), std::mem::take(&mut batch.keys));
         let newest = newest_points(&batch, &points, geometry.horizon);

@@ -7,19 +7,19 @@ use egotac::physics::frame::{BodyEstimate, estimate};
 use egotac::physics::motion::Kinematics;
 use egotac::physics::patch::{Patch, Pusher};
 use egotac::physics::{
-    Body, Demand, Estimate, ForceValidity, Mass, Pose, PoseNoise, Settings, Take, Tracked, lagged, whole,
+    Demand, Estimate, ForceValidity, Mass, Pose, PoseNoise, RigidBody, Settings, Take, Tracked, lagged, whole,
 };
 use glam::{DMat3, DQuat, DVec3, Vec3};
 
 const G: DVec3 = DVec3::new(0.0, 0.0, -9.81);
 
-fn cuboid(name: &str, half: Vec3, kilograms: f64) -> Body {
+fn cuboid(name: &str, half: Vec3, kilograms: f64) -> RigidBody {
     let corner = |i: u32| {
         half * Vec3::new((i & 1) as f32 * 2.0 - 1.0, (i >> 1 & 1) as f32 * 2.0 - 1.0, (i >> 2) as f32 * 2.0 - 1.0)
     };
     let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     let triangles = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
-    Body::from_mesh(name, (0..8).map(corner).collect(), triangles).unwrap().with_mass(kilograms, 0.0).unwrap()
+    RigidBody::from_mesh(name, (0..8).map(corner).collect(), triangles).unwrap().with_mass(kilograms, 0.0).unwrap()
 }
 
 /// A body at rest, or with an acceleration.
@@ -44,7 +44,7 @@ fn finger(link: usize) -> Pusher {
     Pusher::Link(Side::Right, link)
 }
 
-fn forces(body: &Body, acceleration: DVec3, contacts: &[Contact]) -> BodyEstimate {
+fn forces(body: &RigidBody, acceleration: DVec3, contacts: &[Contact]) -> BodyEstimate {
     let demand = Demand::of(body.mass.as_ref().unwrap(), &state(acceleration), G);
     estimate(body, &demand, contacts, None, &Settings::default())
 }
@@ -69,7 +69,7 @@ fn mass_properties_of_a_box_and_a_ball_are_those_of_the_formulas() {
     let mut solid = Solid::default();
     solid.add_ball(0.04, parry3d::math::Pose::IDENTITY).unwrap();
     let ends = [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(|axis| [axis * 0.04, axis * -0.04]).collect();
-    let volume = Body::from_solid("ball", solid, ends).volume().unwrap();
+    let volume = RigidBody::from_solid("ball", solid, ends).volume().unwrap();
     assert!((volume.cubic_metres / (4.0 / 3.0 * std::f64::consts::PI * 0.04f64.powi(3)) - 1.0).abs() < 0.01);
     assert!((volume.gyration.x_axis.x / (0.4 * 0.04 * 0.04) - 1.0).abs() < 0.01);
 }
@@ -141,7 +141,7 @@ fn forces_and_residual_add_up_to_the_wrench() {
 }
 
 /// A take with the right hand at rest, palm up, and one body above it.
-fn take<'a>(models: &'a [HandModel; 2], body: Body, poses: Vec<Option<Pose>>, orient: Vec3) -> Take<'a> {
+fn take<'a>(models: &'a [HandModel; 2], body: RigidBody, poses: Vec<Option<Pose>>, orient: Vec3) -> Take<'a> {
     let n = poses.len();
     let params = HandParams { global_orient: orient, ..HandParams::default() };
     Take {

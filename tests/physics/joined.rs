@@ -2,7 +2,7 @@
 
 use egotac::hand::{HandModel, HandParams, Side};
 use egotac::physics::motion::Kinematics;
-use egotac::physics::{Body, Demand, ForceValidity, Mass, Pose, PoseNoise, Settings, Take, Tracked, whole};
+use egotac::physics::{Demand, ForceValidity, Mass, Pose, PoseNoise, RigidBody, Settings, Take, Tracked, whole};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use proptest::prelude::*;
 
@@ -98,9 +98,9 @@ fn plates<'a>(models: &'a [HandModel; 2], pieces: &[(f32, Vec3)], kilograms: f64
         let corners = (0..8).map(|c| half * Vec3::new(sign(c, 0), sign(c, 1), sign(c, 2))).collect();
         let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
         let triangles = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
-        let body = Body::from_mesh(&format!("part {index}"), corners, triangles).unwrap();
+        let body = RigidBody::from_mesh(&format!("part {index}"), corners, triangles).unwrap();
         let body = body.with_mass(kilograms * f64::from(half_width / 0.15), 0.0).unwrap();
-        Body { joined_to: index.checked_sub(1), ..body }
+        RigidBody { joined_to: index.checked_sub(1), ..body }
     });
     let at = |offset: &Vec3| Some(Pose { position: (middle + *offset).as_dvec3(), orientation: DQuat::IDENTITY });
     Take {

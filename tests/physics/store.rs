@@ -8,7 +8,7 @@ use egotac::dataset::zarr::{
 };
 use egotac::dataset::{Attributes, EpisodeWriter, Frame};
 use egotac::hand::{HandModel, N_FIELD, Side, Topology};
-use egotac::label::physics::{BodyOptions, Counts, Label, label};
+use egotac::label::physics::{BodyOptions, FrameCounts, Label, label};
 use egotac::label::replay::{ReplayFrame, ReplayReport, Replayed, replay};
 use egotac::physics::{ForceValidity, Settings};
 use egotac::sim::{Rollout, RolloutOptions, Scene, physical, record};
@@ -22,7 +22,7 @@ fn options() -> RolloutOptions {
     RolloutOptions { picture: None, ..RolloutOptions::default() }
 }
 
-fn run(store: &Path, out: &Path, bodies: BodyOptions) -> egotac::Result<Counts> {
+fn run(store: &Path, out: &Path, bodies: BodyOptions) -> egotac::Result<FrameCounts> {
     let models = Side::BOTH.map(HandModel::builtin);
     label(store, out, &Label { models: &models, bodies, settings: Settings::default() }, |_, _| ())
 }

@@ -14,7 +14,7 @@ use egotac::train::config::LossWeights;
 use egotac::train::data::{Dataset, Statistics};
 use egotac::train::initial_weights;
 use egotac::train::keypoints::{self, Heads, N_POINTS, Points};
-use egotac::train::loss::{Counts, Targets, objective};
+use egotac::train::loss::{SupervisedCounts, Targets, objective};
 use glam::Vec3;
 use image::RgbImage;
 use serde_json::json;
@@ -160,7 +160,7 @@ fn untrained_keypoint_heads_have_the_loss_of_guessing() {
     let unknown = [[f32::NAN; 2]; N_POINTS];
     let counts = |points: &[Points], newest: &[Points]| {
         let [points, newest_points] = [points, newest].map(|points| keypoints::in_image(points) as f64);
-        Counts { points, newest_points, ..Counts::default() }
+        SupervisedCounts { points, newest_points, ..SupervisedCounts::default() }
     };
     let costs = |points: &[Points; 2]| {
         let loss = heads.loss(&tokens, points, &z, &points[1..], &counts(points, &points[1..])).unwrap();
@@ -175,5 +175,5 @@ fn untrained_keypoint_heads_have_the_loss_of_guessing() {
     for (cost, expected) in costs(&points).into_iter().zip([n_patches.ln(), 0.25, 0.2]) {
         assert!((cost - expected).abs() < 1e-5, "{cost} instead of {expected}");
     }
-    assert!(heads.loss(&tokens, &points[1..], &z, &points[1..], &Counts::default()).is_err());
+    assert!(heads.loss(&tokens, &points[1..], &z, &points[1..], &SupervisedCounts::default()).is_err());
 }

@@ -13,7 +13,7 @@ use egotac::train::batch::Collate;
 use egotac::train::config::{AugmentConfig, LossWeights};
 use egotac::train::data::Dataset;
 use egotac::train::keypoints::{Heads, N_POINTS, Points, in_image};
-use egotac::train::loss::{Counts, Targets, objective, objective_of_share};
+use egotac::train::loss::{SupervisedCounts, Targets, objective, objective_of_share};
 use egotac::train::ranks::{Communicator, threads};
 use egotac::train::sampler::{Clip, Pool, Sampler, Share};
 use egotac::train::{Config, Control, Event, Outcome, Step, train_on};
@@ -240,7 +240,7 @@ proptest! {
             Targets { force, contact, mask_force, mask_contact }
         };
         let flat = |t: &Tensor| t.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        let counts = |t: &Targets| Counts::of(&flat(&t.force), &flat(&t.mask_force), &flat(&t.mask_contact), 0.5).values();
+        let counts = |t: &Targets| SupervisedCounts::of(&flat(&t.force), &flat(&t.mask_force), &flat(&t.mask_contact), 0.5).values();
         let at = 1 + (cut * (n - 1) as f64) as usize % (n - 1);
         let parts = [0..at, at..n];
         // Counts of the parts, added as the ranks do.
@@ -251,7 +251,7 @@ proptest! {
         let mut added = [0.0; 5];
         for part in parts {
             let cut = |t: &Tensor| t.narrow(0, part.start, part.len()).unwrap();
-            let counts = Counts::from_values(sum);
+            let counts = SupervisedCounts::from_values(sum);
             let o = objective_of_share(&cut(&force), &cut(&logits), &rows_of(part.clone()), 0.5, &weights, &counts);
             added.iter_mut().zip(terms(o.unwrap())).for_each(|(sum, term)| *sum += term);
         }
@@ -274,8 +274,11 @@ fn the_keypoint_losses_of_the_parts_add_up_to_that_of_the_whole() {
     };
     let points: Vec<Points> = (0..5).map(frame).collect();
     const { assert!(9 * 4 <= N_POINTS) };
-    let counts =
-        Counts { points: in_image(&points) as f64, newest_points: in_image(&points) as f64, ..Counts::default() };
+    let counts = SupervisedCounts {
+        points: in_image(&points) as f64,
+        newest_points: in_image(&points) as f64,
+        ..SupervisedCounts::default()
+    };
     let loss = |range: std::ops::Range<usize>| {
         let cut = |t: &Tensor| t.narrow(0, range.start, range.len()).unwrap();
         let points = &points[range.clone()];

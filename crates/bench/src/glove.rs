@@ -60,7 +60,7 @@ pub struct Score {
 
 /// Report of the bench.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
+pub struct GloveReport {
     /// Command that measures the same again.
     pub command: String,
     /// Version of the program.
@@ -89,7 +89,7 @@ pub fn measure(
     seed: u64,
     seeds: u64,
     progress: &mut dyn FnMut(&str),
-) -> Result<Report> {
+) -> Result<GloveReport> {
     let mut episodes = Vec::new();
     for scene in scenes {
         for seed in seed..seed + seeds {
@@ -134,7 +134,7 @@ pub fn measure(
     );
     gloves.push(score(&name, &aether, &worn, &episodes)?);
     let touched = |frame: &&(f64, Vec<f32>)| frame.1.iter().any(|force| *force > CONTACT_FORCE_N);
-    Ok(Report {
+    Ok(GloveReport {
         command,
         version: egotac::VERSION,
         machine: Machine::this(),
@@ -220,7 +220,7 @@ fn score(name: &str, map: &Arc<TaxelMap>, spec: &GloveSpec, episodes: &[Episode]
     })
 }
 
-impl Report {
+impl GloveReport {
     /// Writes `glove.md`, `glove.json`, `glove.png` and `glove.svg` into a folder.
     ///
     /// # Errors

@@ -11,7 +11,7 @@ use egotac::hand::Topology;
 use egotac::message::{Header, Image, Message, Time};
 use egotac::tactile::{N_FIELD, TactileField, Validity};
 use egotac_bench::faults::content::{self, files};
-use egotac_bench::faults::inject::{Counts, Injection, Library};
+use egotac_bench::faults::inject::{CallCounts, Injection, Library};
 use egotac_bench::faults::input;
 use image::{RgbImage, imageops};
 
@@ -77,7 +77,7 @@ type Ended = (Option<i32>, serde_json::Value, String);
 
 impl Bench {
     /// Labels the input into `out`, with an error at reads of files below `below`.
-    fn label(&self, out: &Path, fault: Option<(&Injection, &Path)>) -> (Ended, Counts) {
+    fn label(&self, out: &Path, fault: Option<(&Injection, &Path)>) -> (Ended, CallCounts) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_egotac-bench"));
         command.args(["label", "--json", "-", "--checkpoint"]).arg(self.folder.join("model.safetensors"));
         command.arg("--out").arg(out).arg(&self.input).args(self.more);
@@ -88,7 +88,7 @@ impl Bench {
         let output = command.output().unwrap();
         let told = serde_json::from_slice(&output.stdout).unwrap_or_default();
         let ended = (output.status.code(), told, String::from_utf8_lossy(&output.stderr).into_owned());
-        (ended, if fault.is_some() { Counts::read(&counts).unwrap() } else { Counts::default() })
+        (ended, if fault.is_some() { CallCounts::read(&counts).unwrap() } else { CallCounts::default() })
     }
 }
 

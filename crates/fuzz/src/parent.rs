@@ -24,7 +24,7 @@ const SMALL: usize = 256;
 
 /// Result of a target's run.
 #[derive(Debug, Default)]
-pub struct Report {
+pub struct FuzzReport {
     /// Number of inputs read.
     pub inputs: u64,
     /// Number of inputs that the target accepted.
@@ -34,10 +34,10 @@ pub struct Report {
 }
 
 /// Reads `inputs` hostile inputs in children, fewer if `time` is over before, and keeps in `keep` one input per reason.
-pub fn run(target: &Target, seed: u64, inputs: u64, time: Duration, keep: &Path) -> anyhow::Result<Report> {
+pub fn run(target: &Target, seed: u64, inputs: u64, time: Duration, keep: &Path) -> anyhow::Result<FuzzReport> {
     let temp = tempfile::tempdir()?;
     let folder = temp.path();
-    let (begun, mut report, mut first) = (Instant::now(), Report::default(), 0);
+    let (begun, mut report, mut first) = (Instant::now(), FuzzReport::default(), 0);
     while let Some(left) = time.checked_sub(begun.elapsed()).filter(|left| first < inputs && !left.is_zero()) {
         let span = Span { seed, first, end: inputs, time: left };
         let _ = fs::remove_file(folder.join(child::NUMBER));

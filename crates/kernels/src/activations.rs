@@ -75,13 +75,13 @@ impl Target {
 unsafe impl Sync for Target {}
 
 /// Origin of rows.
-enum Source<'a, W> {
+enum RowSource<'a, W> {
     Rows(Rows<'a>),
     /// `write(row, values)` computes a row.
     Computed(W),
 }
 
-impl<W: Fn(usize, &mut [f32])> Source<'_, W> {
+impl<W: Fn(usize, &mut [f32])> RowSource<'_, W> {
     /// Returns a row of `width` values, which is computed in `room`.
     fn row<'b>(&'b self, row: usize, width: usize, room: &'b mut Vec<f32>) -> &'b [f32] {
         match self {
@@ -99,7 +99,7 @@ impl Activations {
     /// Converts rows of `width` values.
     pub fn set(&mut self, x: Rows, width: usize, form: Form) {
         self.resize(form, x.count, width);
-        self.convert(&Source::<fn(usize, &mut [f32])>::Rows(x));
+        self.convert(&RowSource::<fn(usize, &mut [f32])>::Rows(x));
     }
 
     /// Sets `count` rows of `width` values that `write(row, values)` computes.
@@ -113,7 +113,7 @@ impl Activations {
                 }
             });
         } else {
-            self.convert(&Source::Computed(write));
+            self.convert(&RowSource::Computed(write));
         }
     }
 
@@ -185,7 +185,7 @@ impl Activations {
     }
 
     /// Converts all rows from f32 to the form that [`Self::resize`] chose.
-    fn convert(&mut self, source: &Source<impl Fn(usize, &mut [f32]) + Sync>) {
+    fn convert(&mut self, source: &RowSource<impl Fn(usize, &mut [f32]) + Sync>) {
         let (count, width, stride) = (self.count, self.width, self.stride);
         let size = ROWS_PER_TASK * stride;
         match self.form {

@@ -169,10 +169,10 @@ impl StoreFiles {
                     Err(error) => return Err(storage_error(error)),
                 };
                 let size = file.metadata().map_err(|e| storage_error(Error::io(&path)(e)))?.len();
-                (path, size, Source::File(file))
+                (path, size, FileContent::File(file))
             }
             Place::Zip(zip) => match zip.read(key, limit).map_err(storage_error)? {
-                Some(bytes) => (zip.path.clone(), bytes.len() as u64, Source::Bytes(bytes)),
+                Some(bytes) => (zip.path.clone(), bytes.len() as u64, FileContent::Bytes(bytes)),
                 None => return Ok(None),
             },
         };
@@ -181,8 +181,8 @@ impl StoreFiles {
             let (start, length) = within(range, size)?;
             limit.check(&path, "bytes to read", length).map_err(storage_error)?;
             parts.push(match &whole {
-                Source::Bytes(bytes) => Bytes::copy_from_slice(&bytes[start as usize..(start + length) as usize]),
-                Source::File(file) => {
+                FileContent::Bytes(bytes) => Bytes::copy_from_slice(&bytes[start as usize..(start + length) as usize]),
+                FileContent::File(file) => {
                     let mut bytes = vec![0; length as usize];
                     file.read_exact_at(&mut bytes, start).map_err(|e| storage_error(Error::io(&path)(e)))?;
                     bytes.into()
@@ -211,7 +211,7 @@ pub(super) fn failed_read(error: &StorageError) -> Option<Error> {
 }
 
 /// Content of a file that is read in ranges.
-enum Source {
+enum FileContent {
     File(File),
     Bytes(Vec<u8>),
 }

@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::dataset::zarr::ZarrReader;
 use crate::error::{Error, Result};
 use crate::file;
-use crate::physics::{Body, DensityClass, Fixed, Pose};
+use crate::physics::{DensityClass, Fixed, Pose, RigidBody};
 
 /// Knowledge of bodies that a store does not hold.
 #[derive(Debug, Clone, Default)]
@@ -29,7 +29,7 @@ pub struct BodyOptions {
 /// Bodies and surroundings of one episode.
 pub(super) struct Surroundings {
     /// Bodies in the order of the store's poses.
-    pub bodies: Vec<Body>,
+    pub bodies: Vec<RigidBody>,
     /// Fixed things.
     pub fixed: Vec<Fixed>,
     /// Acceleration of free fall, m/s², where the store tells it.
@@ -87,7 +87,7 @@ impl BodyOptions {
             };
             let (mut vertices, triangles) = file::mesh::read(&path)?;
             vertices.iter_mut().for_each(|vertex| *vertex *= scale);
-            bodies.push(Body::from_mesh(name, vertices, triangles).map_err(|error| Error::file(&path, error))?);
+            bodies.push(RigidBody::from_mesh(name, vertices, triangles).map_err(|error| Error::file(&path, error))?);
         }
         if bodies.is_empty() || bodies.iter().all(|body| body.solid.is_none()) {
             return Err(Error::file(
@@ -119,8 +119,16 @@ impl BodyOptions {
 }
 
 /// A body of unknown shape.
-fn unknown(name: &str) -> Body {
-    Body { name: name.into(), solid: None, samples: Vec::new(), mass: None, friction: 0.8, held: None, joined_to: None }
+fn unknown(name: &str) -> RigidBody {
+    RigidBody {
+        name: name.into(),
+        solid: None,
+        samples: Vec::new(),
+        mass: None,
+        friction: 0.8,
+        held: None,
+        joined_to: None,
+    }
 }
 
 /// Builds the bodies of the scene that an episode was simulated from.

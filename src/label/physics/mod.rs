@@ -8,4 +8,4 @@ mod write;
 pub use bodies::BodyOptions;
 pub use fields::FrameFields;
 pub use read::{EpisodeTake, read};
-pub use write::{Counts, ESTIMATED, Label, label};
+pub use write::{ESTIMATED, FrameCounts, Label, label};

@@ -48,7 +48,7 @@ pub struct Label<'a> {
 
 /// Counts of one run, of hands: two per frame.
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize)]
-pub struct Counts {
+pub struct FrameCounts {
     /// Frames.
     pub frames: usize,
     /// Hands with a force above 0.05 N.
@@ -66,7 +66,7 @@ pub const ESTIMATED: &str = "estimated from motion";
 ///
 /// # Errors
 /// If the store is damaged, bodies are not known, or `out` exists or can't be written.
-pub fn label(path: &Path, out: &Path, run: &Label, mut progress: impl FnMut(usize, usize)) -> Result<Counts> {
+pub fn label(path: &Path, out: &Path, run: &Label, mut progress: impl FnMut(usize, usize)) -> Result<FrameCounts> {
     let place = StoreLocation::only(path)?;
     let store = ZarrReader::open_at(&place)?;
     if out.exists() {
@@ -95,7 +95,7 @@ pub fn label(path: &Path, out: &Path, run: &Label, mut progress: impl FnMut(usiz
         remove(&at.join(name))?;
     }
     let mut arrays: Option<(AddedArrays, usize)> = None;
-    let (mut counts, mut episodes) = (Counts::default(), Vec::new());
+    let (mut counts, mut episodes) = (FrameCounts::default(), Vec::new());
     let objects = store.arrays().into_iter().find(|info| info.name == crate::dataset::zarr::OBJECT_POSE);
     let objects = objects.map_or(0, |info| info.shape.get(1).copied().unwrap_or(0));
     for index in 0..episode_ranges(store.episode_ends()).count() {
@@ -164,8 +164,8 @@ fn values(fields: FrameFields, estimate: &Estimate, frame: usize, objects: usize
     ]
 }
 
-fn description(bodies: &[crate::physics::Body], estimate: &Estimate, gravity: &str) -> Value {
-    let body = |(index, body): (usize, &crate::physics::Body)| {
+fn description(bodies: &[crate::physics::RigidBody], estimate: &Estimate, gravity: &str) -> Value {
+    let body = |(index, body): (usize, &crate::physics::RigidBody)| {
         json!({
             "name": body.name,
             "mass_kg": body.mass.map(|mass| mass.kilograms),
@@ -180,7 +180,13 @@ fn description(bodies: &[crate::physics::Body], estimate: &Estimate, gravity: &s
     json!({ "gravity": gravity, "hand_noise": estimate.hand_noise, "bodies": bodies })
 }
 
-fn attributes(run: &Label, has_force: bool, force: &str, episodes: Vec<Value>, counts: &Counts) -> Map<String, Value> {
+fn attributes(
+    run: &Label,
+    has_force: bool,
+    force: &str,
+    episodes: Vec<Value>,
+    counts: &FrameCounts,
+) -> Map<String, Value> {
     let codes: BTreeMap<String, &str> =
         ForceValidity::ALL.iter().map(|validity| (validity.code().to_string(), validity.reason())).collect();
     let mut attributes = Map::new();
@@ -205,7 +211,7 @@ fn attributes(run: &Label, has_force: bool, force: &str, episodes: Vec<Value>, c
     attributes
 }
 
-impl Counts {
+impl FrameCounts {
     fn add(&mut self, fields: &FrameFields) {
         self.frames += 1;
         for side in 0..2 {

@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::hand::{N_BETAS, Side};
 use crate::mujoco::World;
 use crate::physics::gravity::SLAB;
-use crate::physics::{Body, Pose, Take, Tracked};
+use crate::physics::{Pose, RigidBody, Take, Tracked};
 use crate::sim::effect::Effect;
 use crate::sim::object::Object;
 use crate::sim::randomize::{EpisodeDraw, HandDraw, ObjectDraw};
@@ -101,7 +101,7 @@ fn placing(take: &Take) -> Pose {
 }
 
 /// Returns an object of the stage; None if its shape is unknown.
-fn draw(index: usize, body: &Body, poses: &[Option<Pose>], placing: &Pose) -> Result<Option<ObjectDraw>> {
+fn draw(index: usize, body: &RigidBody, poses: &[Option<Pose>], placing: &Pose) -> Result<Option<ObjectDraw>> {
     let Some((vertices, triangles)) = body.solid.as_ref().and_then(|solid| solid.mesh()) else { return Ok(None) };
     let height = vertices.iter().fold(0.0, |lowest: f64, vertex| lowest.max(f64::from(-vertex.z)));
     let mesh = (vertices.to_vec(), triangles.to_vec());

@@ -17,7 +17,7 @@ use crate::model::precision::Precision;
 /// Patches of a frame that all layers compute anew; the others leave after the first layers, and their tokens stay those of an
 /// earlier frame.
 #[derive(Debug, Clone, Copy)]
-pub struct Part<'a> {
+pub struct ChangedPatches<'a> {
     /// Number of layers that all patches pass.
     pub after: usize,
     /// Indices of the patches, ascending, at least one.
@@ -117,7 +117,7 @@ impl Encoder {
     pub fn forward(
         &self,
         frame: &[f32],
-        part: Option<Part>,
+        part: Option<ChangedPatches>,
         out: &mut [f32],
         buffers: &mut Buffers,
         buffer: &mut Activations,
@@ -157,7 +157,7 @@ impl Encoder {
             Ok::<(), Error>(())
         };
         run(0..after, h, attention)?;
-        if let Some(Part { patches, .. }) = part {
+        if let Some(ChangedPatches { patches, .. }) = part {
             // The rows of the part move up behind CLS and registers.
             for (to, from) in patches.iter().enumerate() {
                 h.copy_within((lead + from) * dv..(lead + from + 1) * dv, (lead + to) * dv);
@@ -174,7 +174,7 @@ impl Encoder {
         self.norm.forward(Rows::new(&h[..dv], dv), &mut out[..dv]);
         match part {
             None => self.norm.forward(Rows::new(&h[lead * dv..], dv), &mut out[dv..]),
-            Some(Part { patches, .. }) => {
+            Some(ChangedPatches { patches, .. }) => {
                 for (from, to) in patches.iter().enumerate() {
                     let row = &h[(lead + from) * dv..(lead + from + 1) * dv];
                     self.norm.forward(Rows::new(row, dv), &mut out[(1 + to) * dv..(2 + to) * dv]);

@@ -10,7 +10,7 @@ mod temporal;
 
 use std::sync::{Mutex, PoisonError};
 
-pub use encoder::Part;
+pub use encoder::ChangedPatches;
 
 use egotac_kernels::activations::Activations;
 use egotac_kernels::norm::Norm;
@@ -96,7 +96,7 @@ impl Engine {
     ///
     /// # Errors
     /// If a result is not finite; names the step.
-    pub fn encode_part(&self, frame: &[f32], part: Part, earlier: &[f32]) -> Result<Vec<f32>> {
+    pub fn encode_part(&self, frame: &[f32], part: ChangedPatches, earlier: &[f32]) -> Result<Vec<f32>> {
         let mut out = earlier.to_vec();
         self.with_buffers(|Buffers { encoder, buffer, .. }| {
             self.encoder.forward(frame, Some(part), &mut out, encoder, buffer, false)?;

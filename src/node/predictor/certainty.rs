@@ -12,10 +12,10 @@ const STEADY: u32 = 5;
 
 /// Counts of doubts, and the doubt of the newest images; clones share them.
 #[derive(Clone, Default)]
-pub(super) struct Certainties(Arc<Mutex<Counts>>);
+pub(super) struct Certainties(Arc<Mutex<DoubtCounts>>);
 
 #[derive(Default)]
-struct Counts {
+struct DoubtCounts {
     newest: Certainty,
     /// Doubts of both hands that the log told last.
     told: [Option<Doubt>; 2],
@@ -67,7 +67,7 @@ impl Certainties {
     }
 }
 
-impl Counts {
+impl DoubtCounts {
     fn push(&mut self, certainty: &Certainty) -> Option<String> {
         self.newest = *certainty;
         self.unfamiliar += u64::from(certainty.is_unfamiliar());
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_steady_change_of_doubt_is_told_once() {
-        let mut counts = Counts::default();
+        let mut counts = DoubtCounts::default();
         let known = Certainty::default();
         let unfamiliar =
             Certainty { familiarity: Some(1e-4), doubt: [Some(Doubt::Unfamiliar); 2], ..Certainty::default() };

@@ -34,12 +34,12 @@ const ERRORS: [Curve; 4] = [
 /// Content of the plot, as the JSON of a [`VerifyReport`] holds it.
 #[derive(Debug, Clone, Deserialize)]
 pub struct Plot {
-    counts: Counts,
+    counts: DataCounts,
     candidates: Vec<Column>,
 }
 
 #[derive(Debug, Clone, Deserialize)]
-struct Counts {
+struct DataCounts {
     episodes: u64,
     frames: u64,
     touching_frames: u64,
@@ -77,7 +77,7 @@ impl Figure for Plot {
         B::ErrorType: 'static,
     {
         root.fill(&WHITE)?;
-        let Counts { episodes, frames, touching_frames } = self.counts;
+        let DataCounts { episodes, frames, touching_frames } = self.counts;
         let heading = format!(
             "Against contact forces (label c): {episodes} episodes, {frames} frames, {touching_frames} with touch; bars: 95 %"
         );

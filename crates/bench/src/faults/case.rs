@@ -11,7 +11,7 @@ use egotac::error::{Error, Result};
 use super::alter::{clear, cut, restore};
 use super::check::{Harm, Reference};
 use super::fault::Fault;
-use super::inject::{Counts, Injection, Library};
+use super::inject::{CallCounts, Injection, Library};
 use super::process::{Ended, Running};
 use super::small_disk::SmallDisk;
 use super::subject::{Kind, Subject};
@@ -41,7 +41,7 @@ pub struct Bench<'a> {
     /// Wall time of an undisturbed run, s.
     pub secs: f64,
     /// Calls of an undisturbed run on the output, and on the input.
-    pub calls: [Counts; 2],
+    pub calls: [CallCounts; 2],
     /// Data of the experiment.
     pub rendered: PathBuf,
 }
@@ -259,7 +259,7 @@ impl Bench<'_> {
     ///
     /// # Errors
     /// If it fails.
-    pub fn count(&self, folder: &Path, below: Option<&Path>) -> Result<Counts> {
+    pub fn count(&self, folder: &Path, below: Option<&Path>) -> Result<CallCounts> {
         self.subject.prepare(folder, &self.rendered)?;
         let mut command = self.command(self.subject.arguments(self.subject.input.as_deref()));
         let (out, counts) = (folder.join("out"), folder.join("counts"));
@@ -269,7 +269,7 @@ impl Bench<'_> {
         };
         self.library.load(&mut command, &injection, below.unwrap_or(&out), &counts)?;
         succeed(Running::start(command, folder, "count")?.wait(self.limit())?, self.subject.name)?;
-        Counts::read(&counts)
+        CallCounts::read(&counts)
     }
 }
 

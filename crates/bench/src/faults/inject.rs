@@ -37,13 +37,13 @@ impl Injection {
 
 /// Numbers of calls that a program made.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct CallCounts {
     calls: [u32; KINDS.len()],
     /// Calls that the fault hit.
     pub hits: u32,
 }
 
-impl Counts {
+impl CallCounts {
     /// Reads the file that the library counts in.
     pub fn read(path: &Path) -> Result<Self> {
         let bytes = fs::read(path).map_err(Error::io(path))?;
@@ -115,7 +115,7 @@ mod tests {
             let output = command.output().unwrap();
             let there = ["a", "b", "c"].map(|name| below.join(name).exists());
             fs::remove_dir_all(&below).unwrap();
-            (output.status.success(), there, Counts::read(&counts).unwrap())
+            (output.status.success(), there, CallCounts::read(&counts).unwrap())
         };
         let (success, there, counted) = run(Injection::count());
         assert!(success && there == [false, false, true] && counted.of("rename") == 2, "{counted:?}");

@@ -2,7 +2,7 @@
 
 use egotac::error::Result;
 use egotac::hand::{HandModel, HandParams, Side};
-use egotac::physics::{Body, Estimate, Fixed, ForceValidity, Pose, Settings, Take, Tracked, whole};
+use egotac::physics::{Estimate, Fixed, ForceValidity, Pose, RigidBody, Settings, Take, Tracked, whole};
 use glam::{DQuat, DVec3, Vec3};
 
 use super::{Family, HardCase, Outcome};
@@ -59,12 +59,12 @@ pub(super) const CASES: &[HardCase] = &[
     ),
 ];
 
-fn mesh(name: &str, half: Vec3, kilograms: f64) -> Result<Body> {
+fn mesh(name: &str, half: Vec3, kilograms: f64) -> Result<RigidBody> {
     let sign = |i: u32, bit: u32| (i >> bit & 1) as f32 * 2.0 - 1.0;
     let corner = |i: u32| half * Vec3::new(sign(i, 0), sign(i, 1), sign(i, 2));
     let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     let triangles = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
-    Body::from_mesh(name, (0..8).map(corner).collect(), triangles)?.with_mass(kilograms, 0.0)
+    RigidBody::from_mesh(name, (0..8).map(corner).collect(), triangles)?.with_mass(kilograms, 0.0)
 }
 
 /// The hand at rest, its highest point and the middle of the skin just below it, m.
@@ -76,7 +76,7 @@ fn highest(model: &HandModel, params: &HandParams) -> (f64, DVec3) {
 }
 
 /// Returns a take of the right hand at rest under a plate with its centre over the highest skin, pressed 0.5 mm into it.
-fn resting<'a>(models: &'a [HandModel; 2], body: Body, half_height: f64) -> Take<'a> {
+fn resting<'a>(models: &'a [HandModel; 2], body: RigidBody, half_height: f64) -> Take<'a> {
     let params = HandParams::default();
     let (top, place) = highest(&models[1], &params);
     let position = place.with_z(top + half_height - 0.0005);
@@ -274,7 +274,7 @@ fn two_supports() -> Result<Outcome> {
 fn rolling_ball() -> Result<Outcome> {
     let models = hands();
     const RADIUS: f64 = 0.03;
-    let body = Body::ball("ball", RADIUS)?.with_mass(0.2, 0.0)?;
+    let body = RigidBody::ball("ball", RADIUS)?.with_mass(0.2, 0.0)?;
     let mut take = resting(&models, body, RADIUS);
     let pose = Pose { position: DVec3::new(0.0, 0.0, 0.98), orientation: DQuat::IDENTITY };
     take.fixed.push(Fixed::block("table", Vec3::new(1.0, 1.0, 0.02), pose)?);

@@ -6,7 +6,7 @@ use egotac::physics::contacts::Contact;
 use egotac::physics::frame::estimate;
 use egotac::physics::motion::Kinematics;
 use egotac::physics::patch::{Patch, Pusher};
-use egotac::physics::{Body, Demand, Pose, PoseNoise, Settings};
+use egotac::physics::{Demand, Pose, PoseNoise, RigidBody, Settings};
 use egotac::render::figure::{Drawn, Figure};
 use egotac::render::font::FAMILY;
 use egotac::render::plot::{ACCENT, PALETTE};
@@ -79,7 +79,7 @@ fn grip(title: &'static str, table: bool, contacts: &[Contact]) -> Result<Grip> 
     };
     let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     let triangles = quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
-    let body = Body::from_mesh("box", (0..8).map(corner).collect(), triangles)?.with_mass(MASS, 0.0)?;
+    let body = RigidBody::from_mesh("box", (0..8).map(corner).collect(), triangles)?.with_mass(MASS, 0.0)?;
     let state = Kinematics {
         pose: Pose::IDENTITY,
         velocity: DVec3::ZERO,

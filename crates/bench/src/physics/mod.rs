@@ -31,7 +31,7 @@ const RATES: [f64; 2] = [30.0, 60.0];
 
 /// Report of the bench.
 #[derive(Debug, Clone, Serialize)]
-pub struct Report {
+pub struct PhysicsReport {
     /// Command that measures the same again.
     pub command: String,
     /// Version of the program.
@@ -85,7 +85,7 @@ pub fn measure(
     rows: Option<&Path>,
     peer: Option<&str>,
     progress: &(dyn Fn(&str) + Sync),
-) -> Result<Report> {
+) -> Result<PhysicsReport> {
     // Soft objects have no single pose, so that no motion is estimated for them.
     let is_soft =
         |scene: &&Scene| scene.spec.objects.iter().any(|object| matches!(object.shape, ShapeSpec::Soft { .. }));
@@ -140,7 +140,7 @@ pub fn measure(
             splits.push((name.to_string(), part(&of).score(condition)));
         }
     }
-    Ok(Report {
+    Ok(PhysicsReport {
         command,
         version: egotac::VERSION,
         machine: Machine::this(),

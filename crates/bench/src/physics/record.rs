@@ -4,11 +4,11 @@ use egotac::error::Result;
 use egotac::hand::{HandModel, N_JOINTS, Side};
 use egotac::mujoco::World;
 use egotac::mujoco::options::Unchecked;
-use egotac::mujoco::world::{Body as EngineBody, Contact};
+use egotac::mujoco::world::{Body, Contact};
 use egotac::physics::cone::Cone;
 use egotac::physics::solve::{Point, remaining_variance};
 use egotac::physics::spline::Smoother;
-use egotac::physics::{Body, Fixed, Pose, Take, Tracked};
+use egotac::physics::{Fixed, Pose, RigidBody, Take, Tracked};
 use egotac::sim::scene::EffectPlan;
 use egotac::sim::{Effect, Rollout, RolloutOptions, Scene, physical};
 use egotac::tactile::Validity;
@@ -59,7 +59,7 @@ pub struct Recorded {
     hands: [HandModel; 2],
     times: Vec<f64>,
     tracked: [Vec<Tracked>; 2],
-    bodies: Vec<Body>,
+    bodies: Vec<RigidBody>,
     fixed: Vec<Fixed>,
     poses: Vec<Vec<Option<Pose>>>,
     /// Times of the simulation's steps, s, and the net force of all contacts on each body at each of them, N.
@@ -126,7 +126,7 @@ impl Recorded {
             fixed,
             truth: Vec::new(),
         };
-        let in_engine: Vec<EngineBody> = rollout.objects().iter().filter_map(|object| object.body()).collect();
+        let in_engine: Vec<Body> = rollout.objects().iter().filter_map(|object| object.body()).collect();
         let timestep = scene.spec.physics.timestep;
         let (mut step_times, mut step_forces) = (Vec::new(), vec![Vec::new(); in_engine.len()]);
         let link_of = options.hands.each_ref().map(HandModel::strongest_joints);
@@ -183,12 +183,12 @@ impl Recorded {
         let world = rollout.world();
         let contacts: Vec<Contact> = world.contacts().collect();
         let mut touches = Vec::new();
-        let in_engine: Vec<EngineBody> = rollout.objects().iter().filter_map(|object| object.body()).collect();
-        let is_free = |of: &EngineBody| {
+        let in_engine: Vec<Body> = rollout.objects().iter().filter_map(|object| object.body()).collect();
+        let is_free = |of: &Body| {
             let index = in_engine.iter().position(|body| body == of);
             index.and_then(|index| self.bodies.get(index)).is_some_and(|body| body.held.is_none())
         };
-        let is_hand = |of: &EngineBody| {
+        let is_hand = |of: &Body| {
             let name = world.body_name(*of);
             Side::BOTH.into_iter().any(|side| name.starts_with(&format!("{}/", side.name())))
         };
@@ -230,8 +230,7 @@ impl Recorded {
                 let rig = &rollout.rigs()[side as usize];
                 for (link, name) in egotac::sim::rig::JOINT_NAMES.into_iter().enumerate() {
                     let Ok(of_link) = world.body(&rig.name(name)) else { continue };
-                    let weight =
-                        |owner: &egotac::mujoco::world::Body| if *owner == of_link { DVec3::X } else { DVec3::ZERO };
+                    let weight = |owner: &Body| if *owner == of_link { DVec3::X } else { DVec3::ZERO };
                     let weights: Vec<DVec3> = owners.iter().map(weight).collect();
                     if weights.iter().any(|weight| weight.x > 0.0) {
                         let noise = Matrix6::from_diagonal(&Vector6::new(1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4));
@@ -315,7 +314,7 @@ fn normal(sd: f64, rng: &mut ChaCha8Rng) -> DVec3 {
 }
 
 /// Returns the net force of all contacts on a body, N.
-fn net_force(world: &World, body: EngineBody) -> DVec3 {
+fn net_force(world: &World, body: Body) -> DVec3 {
     let of_body = world.contacts().filter(|contact| contact.bodies.contains(&body));
     of_body.map(|contact| if contact.bodies[1] == body { contact.force } else { -contact.force }).sum()
 }

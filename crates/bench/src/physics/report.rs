@@ -9,7 +9,7 @@ use serde::Deserialize;
 use super::determined::Determined;
 use super::plot::Plot;
 use super::record::{Disturbance, MassKnowledge};
-use super::{Report, Score};
+use super::{PhysicsReport, Score};
 
 /// Returns a condition in words.
 pub(super) fn name(condition: &Disturbance) -> String {
@@ -27,7 +27,7 @@ pub(super) fn name(condition: &Disturbance) -> String {
 
 const HEAD: &str = " | net force within 2 % + 0.05 N | touched: within, faster than poses show, other misses | touched: within of what poses show | net force error (N) | net moment error (mN m) | determined links: within 10 % + 0.05 N (median) | all links: error of mean force (N) | inside the 90 % interval: all, determined, other | determined, but flagged | unknown | ms |\n";
 
-impl Report {
+impl PhysicsReport {
     /// Writes `physics.md`, `physics.json`, `physics.png` and `physics.svg` into a folder.
     ///
     /// # Errors
