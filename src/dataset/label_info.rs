@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::label_frame::LabelCounts;
 use super::provenance::Provenance;
 use super::source::LostBytes;
+use crate::tactile::N_FIELD;
 use crate::text::printable_name;
 
 /// Largest number of unlabelled images that a summary lists; further ones are only counted.
@@ -73,9 +74,9 @@ impl LabelSummary {
         let share = unfamiliar as f64 / judged.max(1) as f64;
         (share > MANY_UNFAMILIAR).then(|| {
             format!(
-                "{:.1} % of the images are unlike those that the network was trained on: it does not know touch in these, \
-                 and its labels of the others deserve a look",
-                100.0 * share
+                "{:.1} % of the images are unlike those that the network was trained on: it does not know touch in these{}",
+                100.0 * share,
+                if unfamiliar < judged { ", and its labels of the others deserve a look" } else { "" }
             )
         })
     }
@@ -104,10 +105,19 @@ impl LabelSummary {
         let share = |part: u64, whole: u64| 100.0 * part as f64 / whole.max(1) as f64;
         let LabelCounts { frames, labelled, warming_up, confidence, touched, known, .. } = &self.counts;
         let mut text = format!(
-            "{labelled} of {frames} images labelled ({:.1} %), {warming_up} of them before the window was full\n{:.3} % of the vertices touched",
-            share(*labelled, *frames),
-            share(*touched, *known)
+            "{labelled} of {frames} images labelled ({:.1} %), {warming_up} of them before the window was full\n",
+            share(*labelled, *frames)
         );
+        let vertices = labelled * N_FIELD as u64;
+        text += &match *known {
+            0 if vertices > 0 => "touch is unknown in all of them".into(),
+            known if known < vertices => format!(
+                "{:.3} % of the vertices whose touch is known are touched; {:.1} % are known",
+                share(*touched, known),
+                share(known, vertices)
+            ),
+            known => format!("{:.3} % of the vertices touched", share(*touched, known)),
+        };
         if *touched > 0 {
             text += "; probability of touch on these";
             for (bin, count) in confidence.iter().enumerate() {

@@ -75,7 +75,8 @@ fn summary_and_report_warn_of_many_unfamiliar_images() {
     let (text, _) = run(&["label", &at("in"), "--out", &at("a.zarr")]);
     assert!(text.contains("unfamiliar: 100.0 % of the images"), "{text}");
     assert!(text.contains("warning: 100.0 % of the images are unlike those"), "{text}");
-    assert!(text.contains("0.000 % of the vertices touched") && !text.contains("probability of touch"), "{text}");
+    assert!(text.contains("touch is unknown in all of them") && !text.contains("touched"), "{text}");
+    assert!(!text.contains("labels of the others"), "{text}");
     run(&["report", &at("a.zarr"), "--out", &at("page.html")]);
     assert!(fs::read_to_string(at("page.html")).unwrap().contains("<p id=\"warning\""));
     let (_, warning) = run(&["predict", "--data", &at("in"), "--out", &at("fields")]);
