@@ -103,13 +103,15 @@ impl LabelSummary {
     /// Returns the summary as text, one fact per line.
     pub fn text(&self) -> String {
         let share = |part: u64, whole: u64| 100.0 * part as f64 / whole.max(1) as f64;
-        let LabelCounts { frames, labelled, warming_up, confidence, touched, known, .. } = &self.counts;
+        let LabelCounts { frames, labelled, warming_up, confidence, touched, known, judged, absent, .. } = &self.counts;
         let mut text = format!(
             "{labelled} of {frames} images labelled ({:.1} %), {warming_up} of them before the window was full\n",
             share(*labelled, *frames)
         );
         let vertices = labelled * N_FIELD as u64;
-        text += &match *known {
+        // Labels of version 0.1.0 know all vertices and do not count them.
+        let counted = *known > 0 || *judged > 0 || *absent != [0, 0];
+        text += &match if counted { *known } else { vertices } {
             0 if vertices > 0 => "touch is unknown in all of them".into(),
             known if known < vertices => format!(
                 "{:.3} % of the vertices whose touch is known are touched; {:.1} % are known",
@@ -142,5 +144,23 @@ impl LabelSummary {
             text += &format!("\nlost: {} more places", self.lost.len() - SHOWN);
         }
         text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_tells_unknown_touch_from_labels_that_do_not_count_known_vertices() {
+        let text = |counts: LabelCounts| {
+            LabelSummary { counts: LabelCounts { frames: 2, labelled: 2, ..counts }, ..LabelSummary::default() }.text()
+        };
+        let old = text(LabelCounts { touched: 778, ..LabelCounts::default() });
+        assert!(old.contains("25.000 % of the vertices touched"), "{old}");
+        let unfamiliar = text(LabelCounts { judged: 2, unfamiliar: 2, ..LabelCounts::default() });
+        assert!(unfamiliar.contains("touch is unknown in all of them"), "{unfamiliar}");
+        let half = text(LabelCounts { judged: 2, absent: [2, 0], known: 1556, touched: 389, ..LabelCounts::default() });
+        assert!(half.contains("25.000 % of the vertices whose touch is known are touched; 50.0 % are known"), "{half}");
     }
 }
