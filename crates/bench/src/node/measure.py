@@ -246,9 +246,16 @@ def soak(settings):
     start = time.monotonic()
     secs = settings["secs"]
 
+    in_round, images = {node.name: [] for node in nodes}, 0
+
     def before(stamp):
+        nonlocal images
         truths.publish(truth_of(put_stamp(frame, stamp)))
         poses.publish(hand_pose(stamp))
+        if images % 15 == 0:
+            for node in nodes:
+                in_round[node.name].append(node.resident_bytes())
+        images += 1
 
     counts_before = peer.counts()
     turn = 0
@@ -261,10 +268,12 @@ def soak(settings):
         part = peer.stream(image, 30, min(5.0, secs - now) - 0.5, before)
         sent += len(part)
         seen += sum(stamp in peer.results for stamp in part)
-        # Always after the same visitors: a node holds the buffers of a visitor's topic for a while.
-        if turn % 6 == 4:
-            for node in nodes:
-                memory[node.name].append((time.monotonic() - start, node.resident_bytes()))
+        # The median of 30 s with the same visitors: a node holds the buffers of a visitor's topic for a while, and the trainer
+        # holds the episode of 5 s that it writes, up to 4 MB.
+        if turn % 6 == 5:
+            for name, samples in in_round.items():
+                memory[name].append((time.monotonic() - start, float(np.median(samples))))
+                samples.clear()
         turn += 1
         for old in sorted(peer.results)[:-100]:
             del peer.results[old]
