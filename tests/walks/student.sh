@@ -2,9 +2,10 @@
 # The student brings the Python of LeRobot, which has pyarrow.
 
 prepare() {
-    find_venv peers "making the environment of LeRobot and Ray (several minutes)"
-    # shellcheck disable=SC2154 # find_venv sets it
-    export PATH="$venv/bin:$PATH"
+    # shellcheck source=scripts/lib/peers.sh
+    . "$lib/peers.sh"
+    find_peers
+    export PATH="$peers/bin:$PATH"
 }
 
 check() {
