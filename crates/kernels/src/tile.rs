@@ -220,71 +220,64 @@ pub unsafe fn compute<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
     unsafe { portable(tile, rows, vectors) }
 }
 
-/// As [`compute`], in pieces of up to 4 rows and 3 vectors of 8 columns, whose sums fit into the 16 registers of AVX2 beside a
-/// line of the panel and a value of `a`.
+/// As [`compute`], in pieces of up to 5 rows and 2 vectors of 8 columns, whose sums fit into the 16 registers of AVX2 beside a
+/// line of the panel and a value of `a`. With 4 rows and 3 vectors they fit exactly, but the compiler keeps a sum in memory, and
+/// products take twice as long.
 ///
 /// # Safety
 /// As [`compute`]; the processor has AVX2 and FMA.
 #[cfg(target_arch = "x86_64")]
 unsafe fn by_avx2<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
-    macro_rules! table {
-        ($rows:expr, $vectors:expr; $($r:literal)*) => {
-            match ($rows, $vectors) {
-                $(
-                    ($r, 1) => avx2::<E, $r, 1>,
-                    ($r, 2) => avx2::<E, $r, 2>,
-                    ($r, 3) => avx2::<E, $r, 3>,
-                )*
-                (rows, vectors) => unreachable!("a piece of {rows} rows and {vectors} vectors"),
-            }
-        };
-    }
-    let halves = 2 * vectors;
-    let (row_pieces, column_pieces) = (rows.div_ceil(4), halves.div_ceil(3));
-    let piece = |index: usize, of: usize, pieces: usize| (index * of / pieces, (index + 1) * of / pieces);
+    let pieces = rows.div_ceil(5);
     // The columns of a piece stay in the L1 cache while all rows pass.
-    for column_piece in 0..column_pieces {
-        let (first, last) = piece(column_piece, halves, column_pieces);
-        for row_piece in 0..row_pieces {
-            let (row, end) = piece(row_piece, rows, row_pieces);
-            let form: unsafe fn(&Tile<E>, usize, usize, usize) = table!(end - row, last - first; 1 2 3 4);
-            // SAFETY: rows `row` to `end` and vectors `first` to `last` are inside of the tile, whose pointers are as the
-            // caller guarantees; `form` is the one for their numbers, and the caller guarantees the features.
-            unsafe { form(tile, row, first, halves) };
+    for vector in 0..vectors {
+        for piece in 0..pieces {
+            let (row, end) = (piece * rows / pieces, (piece + 1) * rows / pieces);
+            let form: unsafe fn(&Tile<E>, usize, usize, usize) = match end - row {
+                1 => avx2::<E, 1>,
+                2 => avx2::<E, 2>,
+                3 => avx2::<E, 3>,
+                4 => avx2::<E, 4>,
+                5 => avx2::<E, 5>,
+                rows => unreachable!("a piece of {rows} rows"),
+            };
+            // SAFETY: rows `row` to `end` and vector `vector` are inside of the tile, whose pointers are as the caller
+            // guarantees; `form` is the one for their number, and the caller guarantees the features.
+            unsafe { form(tile, row, vector, vectors) };
         }
     }
 }
 
-/// A piece of a tile in AVX2: `R` rows from `row` on, `W` vectors of 8 columns from vector `first` of the `halves` of a line.
+/// A piece of a tile in AVX2: `R` rows from `row` on, 16 columns: vector `vector` of the `vectors` of a line.
 ///
 /// # Safety
-/// As [`compute`], with `row + R` at most the tile's rows and `first + W` at most `halves`, which is the number of vectors of 8
-/// columns in a line of the panel; the processor has AVX2 and FMA.
+/// As [`compute`] with `vectors` vectors, `row + R` at most the tile's rows and `vector` below `vectors`; the processor has AVX2 and
+/// FMA.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-unsafe fn avx2<E: Weight, const R: usize, const W: usize>(tile: &Tile<E>, row: usize, first: usize, halves: usize) {
+unsafe fn avx2<E: Weight, const R: usize>(tile: &Tile<E>, row: usize, vector: usize, vectors: usize) {
     use std::arch::x86_64::{
         _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_set1_ps, _mm256_setzero_ps, _mm256_storeu_ps,
     };
     const HALF: usize = LANES / 2;
     let Tile { a, lda, b, k, bias, out, ldc, cols, add, .. } = *tile;
-    let mut sums = [[_mm256_setzero_ps(); W]; R];
+    let mut sums = [[_mm256_setzero_ps(); 2]; R];
     for i in 0..k {
-        let mut line = [_mm256_setzero_ps(); W];
-        for (w, vector) in line.iter_mut().enumerate() {
-            // SAFETY: line i < k of the panel, vector first + w < halves: inside the panel that the caller guarantees.
-            *vector = unsafe { E::load_half(b.add((i * halves + first + w) * HALF)) };
-        }
+        // SAFETY: line i < k of the panel, vector `vector` < `vectors`: 16 weights inside the panel that the caller guarantees.
+        let line = unsafe {
+            let at = b.add((i * vectors + vector) * LANES);
+            [E::load_half(at), E::load_half(at.add(HALF))]
+        };
         for (r, sums) in sums.iter_mut().enumerate() {
             // SAFETY: value i < k of row + r, which is a row of the tile.
             let value = _mm256_set1_ps(unsafe { *a.add((row + r) * lda + i) });
-            for (sum, vector) in sums.iter_mut().zip(line) {
-                *sum = _mm256_fmadd_ps(value, vector, *sum);
+            for (sum, half) in sums.iter_mut().zip(line) {
+                *sum = _mm256_fmadd_ps(value, half, *sum);
             }
         }
     }
-    for w in 0..W {
-        let start = (first + w) * HALF;
+    for half in 0..2 {
+        let start = vector * LANES + half * HALF;
         let there = cols.saturating_sub(start).min(HALF);
         for (r, sums) in sums.iter().enumerate() {
             let at = out.wrapping_add((row + r) * ldc + start);
@@ -293,14 +286,14 @@ unsafe fn avx2<E: Weight, const R: usize, const W: usize>(tile: &Tile<E>, row: u
                 // and of each row of `out`, which nothing else uses.
                 unsafe {
                     let bias = if bias.is_null() { _mm256_setzero_ps() } else { _mm256_loadu_ps(bias.add(start)) };
-                    let sum = _mm256_add_ps(sums[w], bias);
+                    let sum = _mm256_add_ps(sums[half], bias);
                     _mm256_storeu_ps(at, if add { _mm256_add_ps(sum, _mm256_loadu_ps(at)) } else { sum });
                 }
                 continue;
             }
             let mut values = [0.0f32; HALF];
             // SAFETY: the array has 8 values.
-            unsafe { _mm256_storeu_ps(values.as_mut_ptr(), sums[w]) };
+            unsafe { _mm256_storeu_ps(values.as_mut_ptr(), sums[half]) };
             for (c, value) in values.into_iter().take(there).enumerate() {
                 // SAFETY: column start + c is below `cols`, which the caller guarantees of a bias that is not null and of each
                 // row of `out`, which nothing else uses.
