@@ -2,7 +2,7 @@
 # The student brings the Python of LeRobot, which has pyarrow.
 
 prepare() {
-    # shellcheck source=scripts/lib/peers.sh
+    # shellcheck source=scripts/lib/peers.sh disable=SC2154 # test-walks sets `lib`
     . "$lib/peers.sh"
     find_peers
     export PATH="$peers/bin:$PATH"
