@@ -6,7 +6,7 @@ use crate::aligned::{Aligned, grow};
 use crate::rows::Rows;
 use crate::simd;
 use crate::team;
-use crate::tile::{self, LANES, MOST_ROWS, Next, TILES_PER_TASK, Tile, VECTORS};
+use crate::tile::{self, LANES, MOST_ROWS, Next, TILES_PER_TASK, Tile};
 
 /// Packed keys and values.
 #[derive(Debug, Clone)]
@@ -78,7 +78,7 @@ impl Lines {
         let values = &self.values[head * n * wide_size..(head + 1) * n * wide_size];
         let queries = &qkv.data[row * lda + head * size..(row + rows - 1) * lda + head * size + size];
         grow(scores, MOST_ROWS * wide_n);
-        for (first, vectors) in panels(n, VECTORS) {
+        for (first, vectors) in panels(n, tile::widest()) {
             let tile = Tile {
                 a: queries.as_ptr(),
                 lda,
@@ -105,7 +105,7 @@ impl Lines {
                 }
             },
         );
-        for (first, vectors) in panels(size, VECTORS) {
+        for (first, vectors) in panels(size, tile::widest()) {
             let cols = (vectors * LANES).min(size - first);
             let at = out.wrapping_add(row * stride + head * size + first);
             let tile = Tile {
@@ -132,9 +132,9 @@ impl Lines {
     }
 }
 
-/// Packs keys: panels of up to 48 keys, one column per key, one line per channel. Padding stays zero.
+/// Packs keys: panels of as many keys as a tile is wide, one column per key, one line per channel. Padding stays zero.
 fn pack_keys<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &mut [f32]) {
-    for (first, vectors) in panels(n, VECTORS) {
+    for (first, vectors) in panels(n, tile::widest()) {
         let width = vectors * LANES;
         let panel = &mut out[first * size..(first + width) * size];
         for vector in (0..width).step_by(LANES) {
@@ -150,9 +150,9 @@ fn pack_keys<'a>(n: usize, size: usize, key: impl Fn(usize) -> &'a [f32], out: &
     }
 }
 
-/// Packs values: panels of up to 48 channels of a head, one line per token. Padding stays zero.
+/// Packs values: panels of as many channels of a head as a tile is wide, one line per token. Padding stays zero.
 fn pack_values<'a>(n: usize, size: usize, value: impl Fn(usize) -> &'a [f32], out: &mut [f32]) {
-    for (first, vectors) in panels(size, VECTORS) {
+    for (first, vectors) in panels(size, tile::widest()) {
         let width = vectors * LANES;
         let there = width.min(size - first);
         for (token, out) in out[first * n..(first + width) * n].chunks_exact_mut(width).enumerate() {

@@ -1,6 +1,6 @@
 //! A linear layer whose weights are laid out for the tiles, in one of three number formats.
 //!
-//! The weights `(n, k)` are cut into panels of up to 48 outputs. A panel holds, input by input, the weights of all its
+//! The weights `(n, k)` are cut into panels of up to 48 outputs, 16 on AVX2. A panel holds, input by input, the weights of all its
 //! outputs, so that a tile reads it from start to end and each line feeds whole vectors. In 8 bits a line holds groups of
 //! four inputs, which one instruction consumes; in 16 bits pairs, where the processor has a matrix unit.
 
@@ -14,7 +14,7 @@ use crate::amx::{self, STEP};
 use crate::quantise::{bf16, quantise_weights};
 use crate::rows::{Rows, part};
 use crate::team;
-use crate::tile::{self, LANES, Next, VECTORS};
+use crate::tile::{self, LANES, Next};
 use crate::tile8::GROUP;
 
 /// Multiply-adds below which one thread computes the whole product: handing tasks to others would take longer.
@@ -81,7 +81,7 @@ impl Unit {
     /// Vectors of outputs in the widest panel.
     fn vectors(self) -> usize {
         match self {
-            Self::Vectors => VECTORS,
+            Self::Vectors => tile::widest(),
             Self::Matrix => amx::VECTORS,
         }
     }
