@@ -29,7 +29,7 @@ pub const EXTENSIONS: [&str; 8] = ["mp4", "mkv", "mov", "avi", "webm", "m4v", "m
 const MANY_ERRORS: i32 = 69;
 /// Number of ffmpeg's last error messages that are searched for failures of the medium.
 const HEARD_ERRORS: usize = 16;
-/// Messages of ffmpeg for errors of the operating system, which are no damage of the file.
+/// Messages of ffmpeg for errors of the operating system. They do not mean that the file is damaged.
 const MEDIUM: [&str; 5] = [
     "Input/output error",
     "Cannot allocate memory",

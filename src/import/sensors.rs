@@ -40,7 +40,7 @@ impl Sensor {
         self.shape.iter().product()
     }
 
-    /// Returns a reading of which nothing is known.
+    /// Returns a reading that is unknown.
     pub fn unknown(&self) -> Vec<f32> {
         vec![f32::NAN; self.values()]
     }

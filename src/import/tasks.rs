@@ -48,7 +48,7 @@ impl ImportTasks {
     /// becomes a store in the folder `out`.
     ///
     /// # Errors
-    /// If there is no recording, the kind needs MANO files and there are none, or `out` lies in `source`.
+    /// If there is no recording, if the kind needs MANO files and there are none, or if `out` lies in `source`.
     pub fn find(source: &Path, out: &Path, settings: Settings) -> Result<Self> {
         let kind = settings.kind;
         if kind.mano == Mano::Required && !settings.hands.are_mano() {

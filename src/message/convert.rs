@@ -68,7 +68,7 @@ impl TactileFrame {
     /// Returns the field of both hands; a hand that is missing from the message is zero.
     ///
     /// # Errors
-    /// If the topology or a side is unknown, a side comes twice, a force is negative or infinite, or a contact is not
+    /// If the topology or a side is unknown, a side occurs twice, a force is negative or infinite, or a contact is not
     /// within 0 to 1 (NaN means unknown and passes).
     pub fn to_field(&self) -> Result<TactileField> {
         let mut field = TactileField::zeros(Topology::from_id(&self.topology)?);
@@ -183,16 +183,16 @@ impl HandPose {
 }
 
 impl HandPoses {
-    /// Creates the message of the poses of one image, of which each gets `header`.
+    /// Creates the message of the poses of one image. Each pose gets `header`.
     pub fn new(header: Header, poses: impl IntoIterator<Item = HandPose>) -> Self {
         let poses = poses.into_iter().map(|pose| HandPose { header: header.clone(), ..pose }).collect();
         Self { header, poses }
     }
 
-    /// Returns the poses with their sides; each has the header of the array, whatever its own says.
+    /// Returns the poses with their sides. The header of the array replaces that of each pose.
     ///
     /// # Errors
-    /// If a side is unknown or comes twice.
+    /// If a side is unknown or occurs twice.
     pub fn into_poses(self) -> Result<Vec<(Side, HandPose)>> {
         let mut poses: Vec<(Side, HandPose)> = Vec::with_capacity(self.poses.len());
         for (index, pose) in self.poses.into_iter().enumerate() {

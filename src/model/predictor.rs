@@ -259,7 +259,8 @@ impl Predictor {
         self.checkpoint.spread.as_ref()
     }
 
-    /// Returns a warning for people if the checkpoint lacks an estimate of what it does not know; None if it has all.
+    /// Returns a warning if the checkpoint estimates no familiarity or no presence, so that it reports touch that it can't know; None
+    /// if it estimates both.
     pub fn warning(&self) -> Option<String> {
         let name = &self.whole().metadata.name;
         let (missing, whose, command) = match (self.estimates_familiarity(), self.estimates_presence()) {

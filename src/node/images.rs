@@ -76,7 +76,7 @@ impl ImageTransport {
     /// Reads only the header of a message.
     ///
     /// # Errors
-    /// If the bytes are no message of this type.
+    /// If the bytes are not a message of this type.
     pub(crate) fn header(self, payload: &[u8]) -> Result<Header> {
         match self {
             Self::Raw => Reader::leading(Image::TYPE, payload),

@@ -17,7 +17,7 @@ use egotac::geometry::{ForceSpreader, HandSurface, LinkContact, PROXIMITY, SIGMA
 use egotac::hand::{HandModel, HandParams, Side};
 use glam::{DVec3, Vec3};
 
-/// Runs of which the shortest is printed.
+/// Number of runs; the shortest one is printed.
 const RUNS: usize = 500;
 
 /// A bumpy ball of 2 x 71 x 70 triangles, about as big as a fist can hold, around the origin.

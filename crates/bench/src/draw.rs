@@ -35,7 +35,7 @@ trait Draw {
 }
 
 impl Plots {
-    /// Reads the content of the plots of a report; its command tells of which kind it is.
+    /// Reads the content of the plots of a report. The report's command tells the kind.
     fn read(path: &Path) -> anyhow::Result<Self> {
         let text = input::read_text(path, limits::FILE)?;
         let json: Value = serde_json::from_str(&text).with_context(|| path.display().to_string())?;

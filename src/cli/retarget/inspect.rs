@@ -32,7 +32,7 @@ pub fn inspect(args: &Inspect) -> anyhow::Result<()> {
 /// Writes a YAML file for a model, with what was derived from it.
 ///
 /// # Errors
-/// If the model is no hand, or the file can't be written.
+/// If the model is not a hand, or the file can't be written.
 pub fn new(args: &New) -> anyhow::Result<()> {
     let path = args.model.to_string_lossy();
     let robot = Robot::load(&path, None)?;

@@ -34,7 +34,7 @@ pub struct BagFile {
     pub messages: u64,
 }
 
-/// Returns the text of `metadata.yaml` for a bag with these topics and files. QoS profiles that are no YAML list are left out:
+/// Returns the text of `metadata.yaml` for a bag with these topics and files. QoS profiles that are not a YAML list are left out:
 /// no player could read the bag.
 ///
 /// # Errors

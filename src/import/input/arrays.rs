@@ -160,7 +160,7 @@ impl<'a> Node<'a> {
         &self.place
     }
 
-    /// Reads an array or tensor with this number of elements, whatever its shape.
+    /// Reads an array or tensor of any shape that has this number of elements.
     ///
     /// # Errors
     /// If the value is none, or has another number of elements, or one that is not finite.

@@ -177,7 +177,7 @@ impl H5Array {
         Err(self.damaged(&format!("expected shape [{}], got {got:?}", lengths.join(", "))))
     }
 
-    /// Reads rows as numbers, whatever their type in the file; NaN stays.
+    /// Reads rows of any type as numbers; NaN stays.
     ///
     /// # Errors
     /// If the array holds no numbers, is damaged, or the rows exceed the limit of an array.

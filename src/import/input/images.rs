@@ -84,7 +84,7 @@ impl Images {
 /// Reads number and rate of a video's frames.
 ///
 /// # Errors
-/// If it is no video, or states no rate.
+/// If it is not a video, or states no frame rate.
 pub fn video_alone(path: &Path) -> Result<VideoFacts> {
     let video = video::probe(path)?;
     let fps = video.fps.ok_or_else(|| Error::file(path, "expected a video with a frame rate, got none"))?;

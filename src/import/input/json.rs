@@ -79,7 +79,7 @@ impl Json {
     /// Returns a list of numbers.
     ///
     /// # Errors
-    /// If the value is no list, or an item no finite number.
+    /// If the value is not a list, or an item is not a finite number.
     pub fn numbers(&self) -> Result<Vec<f64>> {
         if !self.value.is_array() {
             return Err(self.expected("a list of numbers"));

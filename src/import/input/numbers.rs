@@ -70,7 +70,7 @@ pub fn rigid(path: &Path, field: &str, rows: &[f64; 16], to_metres: f64) -> Resu
 /// Creates a rigid motion from rotation matrix and translation, m.
 ///
 /// # Errors
-/// If the matrix is no rotation, or a number is not finite.
+/// If the matrix is not a rotation, or a number is not finite.
 pub fn motion(path: &Path, field: &str, rotation: DMat3, translation: DVec3) -> Result<DAffine3> {
     let skew = (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array();
     let skew =

@@ -40,7 +40,7 @@ pub(super) fn refsafe(world: &World) -> bool {
     world.model().opt().disableflags & MjtDisableBit::mjDSBL_REFSAFE as i32 == 0
 }
 
-/// Returns all pairs of geoms that can come into contact and of which at least one can move.
+/// Returns all pairs of geoms that can come into contact; at least one of each pair can move.
 pub(super) fn geom_pairs(world: &World) -> Vec<GeomPair> {
     let model = world.model();
     let (geom_body, weld, parent) = (model.geom_bodyid(), model.body_weldid(), model.body_parentid());

@@ -6,7 +6,7 @@ use crate::node::params::{Allowed, Parameter, Parameters};
 
 /// Most cameras of one node; bounds the number of its topics.
 const MAX_CAMERAS: usize = 16;
-/// Names of the node's own topics and services, below which those of a camera would lie.
+/// Names of the node's own topics and services. No camera may have one of them, or its topics would lie below that name.
 const TAKEN: [&str; 10] = [
     "tactile",
     "regions",
@@ -42,7 +42,7 @@ impl Camera {
     /// Returns the cameras that the parameter `cameras` names, or the only one.
     ///
     /// # Errors
-    /// If a name is no part of a topic's name, is that of a topic of the node, or comes twice.
+    /// If a name is not valid in a topic's name, is the name of one of the node's topics, or occurs twice.
     pub(super) fn all(parameters: &Parameters) -> anyhow::Result<Vec<Self>> {
         let names = parameters.get::<Vec<String>>("cameras");
         for (index, name) in names.iter().enumerate() {

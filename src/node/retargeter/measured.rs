@@ -15,7 +15,7 @@ const MAX_AGE: Duration = Duration::from_secs(1);
 pub struct MeasuredJoints(Mutex<HashMap<String, (f64, Instant)>>);
 
 impl MeasuredJoints {
-    /// Takes the positions of a message that arrived at `now`; those that are not finite are no measurement.
+    /// Takes the positions of a message that arrived at `now`, except for those that are not finite.
     pub fn update(&self, message: &JointState, wanted: &[String], now: Instant) {
         let mut newest = lock(&self.0);
         for (name, position) in message.name.iter().zip(&message.position) {

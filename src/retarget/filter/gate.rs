@@ -41,7 +41,7 @@ pub struct OutlierGate {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[allow(clippy::large_enum_variant)] // One value at a time, on the stack.
 pub enum GateResult {
-    /// Keypoints, of which this many were replaced by their expected positions.
+    /// Keypoints, and how many of them were replaced by their expected positions.
     Points([DVec3; N_KEYPOINTS], usize),
     /// The hand is the mirror image of the one expected.
     Mirrored,

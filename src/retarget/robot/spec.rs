@@ -1,4 +1,4 @@
-//! Schema of a robot's YAML file, of which every key but `robot` is optional.
+//! Schema of a robot's YAML file. Every key but `robot` is optional.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -76,7 +76,7 @@ pub struct ModelSpec {
     /// MJCF file: absolute, or relative to the YAML file or a folder that is searched for models.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mjcf: Option<PathBuf>,
-    /// URDF file, likewise.
+    /// URDF file, in the same form.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub urdf: Option<PathBuf>,
     /// Body that carries the fingers; by default the lowest one that all fingers share.

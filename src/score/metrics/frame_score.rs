@@ -5,7 +5,7 @@ use super::force::{self, ForceErrors};
 
 /// Contribution of one frame to the scores; [`summarize`](super::summarize) makes scores of many frames.
 ///
-/// The default is a frame of which nothing counts.
+/// The default is a frame in which nothing counts.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameScore {
     /// Force errors of the frame.

@@ -39,7 +39,7 @@ pub struct RunningSummary {
 }
 
 impl RunningSummary {
-    /// Adds the next frame; one of which nothing counts is a gap.
+    /// Adds the next frame; a frame in which nothing counts is a gap.
     pub fn push(&mut self, frame: &FrameScore) {
         self.force = self.force + frame.force;
         self.confusion = self.confusion + frame.contact;

@@ -1,6 +1,6 @@
 //! Scores of the total force over time.
 //!
-//! A frame of which no force counts (masked whole, or refused by a guard) is a gap. It takes part in no trace. Differences and
+//! A frame in which no force counts (masked whole, or refused by a guard) is a gap. It takes part in no trace. Differences and
 //! spectra are computed within the runs of frames between gaps; correlation and cosine take all frames that count.
 
 use std::ops::Range;

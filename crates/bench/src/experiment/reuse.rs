@@ -68,7 +68,7 @@ pub struct Row {
     pub scores: Scores,
 }
 
-/// Returns the settings of a network of `layers` layers: levels, the first of which encodes all, then parts.
+/// Returns the settings of a network of `layers` layers: first the levels (the first level encodes everything), then the parts.
 fn settings(quick: bool, layers: usize) -> Vec<(f32, Option<Focus>)> {
     let focus =
         |(share, reach): (f64, f32)| Focus { after: (share * layers as f64).round() as usize, reach, every: EVERY };

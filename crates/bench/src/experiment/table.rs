@@ -193,7 +193,7 @@ impl Report {
 /// Arms without force and with the best forces there are; others that learn force are between them.
 const WITHOUT: &str = "contact_only";
 const BOUND: &str = "true_force";
-/// Scores of which shares are told.
+/// Scores whose shares the table tells.
 const RECOVERED: [&str; 2] = ["active_mae", "temporal_pearson"];
 
 /// Says for each arm which share of what separates [`WITHOUT`] from [`BOUND`] it recovers, means over seeds, in the scores in

@@ -173,7 +173,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// If a store or the checkpoint can't be read.
     pub fn picture_ms(&self, held_out: &[Recipe]) -> Result<f64> {
-        /// Pictures, the first of which do not count.
+        /// Pictures at the start that do not count, and pictures in all.
         const PICTURES: (usize, usize) = (8, 48);
         let mut predictor = self.predictor()?;
         let Some(recipe) = held_out.first() else { return Err(Error::value("held-out stores", "one", "none")) };

@@ -1,4 +1,4 @@
-//! Small recordings, each image of which tells its recording and its number.
+//! Small recordings. Each image tells its recording and its number.
 
 use std::fs;
 use std::io::Write;

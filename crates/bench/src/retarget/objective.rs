@@ -67,7 +67,7 @@ pub struct Smoothness {
 /// Computes the human's vectors from the wrist to each fingertip, (T, fingers), in the robot's frame, m.
 ///
 /// # Errors
-/// If the keypoints are no hand.
+/// If the keypoints are not those of a hand.
 pub fn vectors(robot: &Robot, setup: &Setup, trajectory: &Trajectory) -> Result<Vec<Vec<DVec3>>> {
     smooth_vectors(robot, setup, trajectory, 0.0)
 }

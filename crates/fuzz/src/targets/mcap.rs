@@ -9,7 +9,7 @@ use crate::mutate::{Rng, below, bomb, bytes, chance, extreme, often, pick};
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-/// Makes a bag of three images, of which a field may be extreme.
+/// Makes a bag of three images, in which one field may be extreme.
 pub fn file(rng: &mut Rng) -> Case {
     let mut records = vec![record(rng, 0x01, [text("ros2"), text("fuzz")].concat())];
     let (schema, channel) = (often(rng, 1) as u16, often(rng, 1) as u16);

@@ -191,7 +191,7 @@ mod tests {
         bytes
     }
 
-    /// The definition in f64: the sum of `row` times `column`, of which one word lies in each line of the panel.
+    /// The definition in f64: the sum of `row` times `column`. Each line of the panel holds one word of `column`.
     fn expected(kind: Kind, row: &[u8], panel: &[u8], vectors: usize, column: usize) -> f64 {
         let lines = panel.chunks_exact(vectors * STEP).map(|line| &line[column * WORD..(column + 1) * WORD]);
         let half = |bytes: &[u8], i: usize| f64::from(half::bf16::from_le_bytes([bytes[2 * i], bytes[2 * i + 1]]));

@@ -11,7 +11,7 @@ use crate::simd;
 use crate::team;
 use crate::tile::{LANES, Next};
 
-/// bf16 values to a multiple of which the operands are padded with zeros.
+/// Operands are padded with zeros to a multiple of this number of bf16 values.
 const HALVES: usize = STEP / PAIR;
 
 /// Packed keys and values. A *word* has two of a key's channels, or a channel of two values.

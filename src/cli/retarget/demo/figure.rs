@@ -29,7 +29,7 @@ const BACKGROUND_DEPTH: f32 = 0.99;
 const HUMAN: RGBColor = RGBColor(30, 30, 30);
 const ROBOT: RGBColor = PALETTE[0];
 
-/// Draws `moments`, of which `shown` in full, to `path` (PNG).
+/// Draws the moment `shown` in full and all `moments` over time, to `path` (PNG).
 ///
 /// # Errors
 /// If drawing or writing fails.
