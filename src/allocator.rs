@@ -1,4 +1,4 @@
-//! The allocator of the programs, mimalloc. It is no module of the library: a Python extension that contains mimalloc can't be loaded.
+//! The allocator of the programs, mimalloc. It is not a module of the library: a Python extension that contains mimalloc can't be loaded.
 
 use libmimalloc_sys::{mi_option_set, mi_option_t};
 

@@ -1,4 +1,4 @@
-//! Program and shipped files of a process that is no program of egotac, such as a Python interpreter with the package.
+//! Program and shipped files of a process that is not a program of egotac, such as a Python interpreter with the package.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;

@@ -41,7 +41,7 @@ pub fn tell_network(path: &Path, predictor: &Predictor) {
     detail(format_args!("checkpoint {}: {}", path.display(), predictor.metadata().name));
 }
 
-/// Creates a bar that counts `unit`s and shows rate and remaining time. It is hidden where standard error is no terminal.
+/// Creates a bar that counts `unit`s and shows rate and remaining time. It is hidden where standard error is not a terminal.
 pub fn bar(unit: &str) -> ProgressBar {
     styled(&format!("{{bar:40}} {{pos}}/{{len}} {unit} {{per_sec}} {{eta}} left"))
 }

@@ -218,7 +218,7 @@ fn in_thread(name: &str, run: impl FnOnce() -> anyhow::Result<()> + Send + 'stat
     Ok(())
 }
 
-/// Returns the ROS topic that `source` names: `topic:NAME`, or a full name that is no file in an existing folder.
+/// Returns the ROS topic that `source` names: `topic:NAME`, or a full name that is not a file in an existing folder.
 fn topic(source: &str) -> Option<&str> {
     if let Some(topic) = source.strip_prefix("topic:") {
         return Some(topic);

@@ -73,7 +73,7 @@ impl Tree {
 /// caller wrote those.
 ///
 /// # Errors
-/// If a file can't be read or written, is no regular file, or a link leads out of `from`.
+/// If a file can't be read or written, is not a regular file, or a link leads out of `from`.
 pub fn copy_folder(from: &Path, to: &Path, resume: bool) -> Result<()> {
     let root = InputFolder::open(from)?;
     let tree = Tree::list(&root, "")?;
@@ -94,7 +94,7 @@ pub fn copy_folder(from: &Path, to: &Path, resume: bool) -> Result<()> {
 /// Copies a regular file, unless `to` has its size.
 ///
 /// # Errors
-/// If it is no regular file, or a file can't be read or written; the system does not tell which, so the error names both.
+/// If it is not a regular file, or a file can't be read or written; the system does not tell which, so the error names both.
 pub(super) fn copy_regular(from: &Path, to: &Path) -> Result<()> {
     let mut source = input::open(from)?;
     let size = source.metadata().map_err(Error::io(from))?.len();

@@ -29,7 +29,7 @@ pub(crate) use labels::{TensorOutput, read_info, read_labelled};
 /// force.
 ///
 /// # Errors
-/// If it is no safetensors file, holds neither field, or a tensor has another shape or dtype than its name demands.
+/// If it is not a safetensors file, holds neither field, or a tensor has another shape or dtype than its name demands.
 pub fn read(path: &Path) -> Result<TactileSequence> {
     let bytes = input::read(path, limits::ARRAY)?;
     let tensors =

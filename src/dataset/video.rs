@@ -212,7 +212,7 @@ impl VideoFrames {
     }
 
     /// Checks that ffmpeg came to the end of the file: that it was not killed, did not fail, and could read the file.
-    /// Damaged content is no failure; [`damage`] reports it.
+    /// Damaged content is not a failure; [`damage`] reports it.
     fn end(&mut self) -> Result<()> {
         let status = self.process.wait().map_err(Error::io(&self.path))?;
         let errors = self.listener.take().and_then(|listener| listener.join().ok()).unwrap_or_default();

@@ -92,7 +92,7 @@ impl Limit {
 
     /// Value that holds in this process.
     pub fn value(&self) -> u64 {
-        // `check_environment` has refused a value that is no number.
+        // `check_environment` has refused a value that is not a number.
         std::env::var(self.variable()).ok().and_then(|text| text.parse().ok()).unwrap_or(self.default)
     }
 
@@ -116,7 +116,7 @@ impl Limit {
 /// Checks the environment variables of all limits; programs call it at their start.
 ///
 /// # Errors
-/// If a variable with the prefix names no limit, or its value is no whole number above 0.
+/// If a variable with the prefix names no limit, or its value is not a whole number above 0.
 pub fn check_environment() -> Result<()> {
     for (name, value) in std::env::vars_os() {
         let (Some(name), value) = (name.to_str(), value.to_string_lossy()) else { continue };

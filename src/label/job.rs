@@ -184,7 +184,7 @@ impl Job<'_> {
         Ok(Outcome::Done(info))
     }
 
-    /// Returns the description of an output that an earlier run completed, and removes files that this run may have left.
+    /// Returns the description of an output that an earlier run completed, and removes files that the earlier run may have left.
     fn done_before(&self, provenance: &Provenance) -> Result<LabelInfo> {
         const ADVICE: &str = "choose another output, or remove it";
         let refused = |is: String| Err(Error::file(&self.out, format!("{is}; {ADVICE}")));

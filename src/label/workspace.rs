@@ -239,7 +239,7 @@ impl JobDescription {
 /// True if `out` has a workspace.
 ///
 /// # Errors
-/// If `out` is no name for an output.
+/// If `out` is not a name for an output.
 pub fn exists(out: &Path) -> Result<bool> {
     Ok(hidden(out, UNFINISHED)?.exists())
 }

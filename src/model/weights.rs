@@ -24,7 +24,7 @@ const MAX_TENSORS: usize = 1 << 16;
 /// Reads a file of weights whole.
 ///
 /// # Errors
-/// If it is no regular file, or larger than its limit.
+/// If it is not a regular file, or larger than its limit.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>> {
     input::read(path, limits::WEIGHTS)
 }
@@ -71,7 +71,7 @@ impl<'a> WeightsFile<'a> {
     /// Parses the header; the library checks names, types, shapes and places against each other and the size of the file.
     ///
     /// # Errors
-    /// If it is no safetensors file, or its header is larger than that of any network.
+    /// If it is not a safetensors file, or its header is larger than that of any network.
     pub fn parse(path: &'a Path, bytes: &'a [u8]) -> Result<Self> {
         let invalid = |error| Error::file(path, format!("not a safetensors file: {error}"));
         if let Some(length) = bytes.first_chunk().map(|length| u64::from_le_bytes(*length))

@@ -54,7 +54,7 @@ impl TopicNames {
     }
 }
 
-/// Parses `[node:]from:=to`; None if `text` is no topic remapping rule.
+/// Parses `[node:]from:=to`; None if `text` is not a topic remapping rule.
 fn remap_rule(text: &str) -> Option<RemapRule> {
     let (left, to) = text.split_once(":=")?;
     let (node, from) = match left.split_once(':') {

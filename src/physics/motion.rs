@@ -143,7 +143,7 @@ impl Motion {
             if returns {
                 weights[index] = 0.0;
                 self.faults[index] = Some(MotionFault::Jump);
-                index += 2; // the step back is no second jump
+                index += 2; // the step back is not a second jump
                 continue;
             }
             if off || gap {

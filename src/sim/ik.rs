@@ -68,7 +68,7 @@ const FINGER_GAP: f64 = 1.5e-3;
 /// `world`.
 ///
 /// Minimises the squared errors of points, directions, clearance and deviation from rest by Levenberg-Marquardt. A
-/// least squares crate is no substitute: each residual needs the engine's kinematics, and positions are clamped to
+/// least squares crate is not a substitute: each residual needs the engine's kinematics, and positions are clamped to
 /// their limits.
 pub fn solve(
     world: &mut World,

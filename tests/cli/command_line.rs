@@ -55,7 +55,7 @@ fn the_short_help_is_shorter_and_both_end_with_an_example() {
     for group in ["Simulate:", "Predict:", "Label:", "Train:", "Robots and gloves:", "Measure:"] {
         assert!(top.contains(&format!("\n{group}\n")), "{top}");
     }
-    // Standard output is no terminal here: no colours.
+    // Standard output is not a terminal here: no colours.
     assert!(!top.contains('\u{1b}'));
 }
 

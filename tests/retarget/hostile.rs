@@ -134,7 +134,7 @@ fn gripper(shape: &str) -> String {
 fn a_missing_mesh_is_named_where_the_robot_has_no_fingers_without_it() {
     let folder = tempfile::tempdir().unwrap();
     let text = gripper("<mesh filename=\"meshes/finger.stl\"/>");
-    // One fixed joint alone is no finger in any case.
+    // One fixed joint alone is not a finger in any case.
     let fixed = text.replace("revolute", "fixed");
     let path = write(folder.path(), "robot.urdf", &fixed);
     let error = refused(&["retarget", "inspect", path.to_str().unwrap()]);

@@ -136,7 +136,7 @@ def uncalibrated():
 
 
 def foreign():
-    """A reading of five channels is no reading of this glove."""
+    """A reading of five channels is not a reading of this glove."""
     rig = Rig()
     for k in range(20):
         rig.send_reading(START + k, [1.0] * 5)

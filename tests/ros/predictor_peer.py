@@ -411,7 +411,7 @@ def large():
 
 
 def hostile_models(folder):
-    """Files that are no usable checkpoint are refused by name, and the network in use goes on with the same predictions."""
+    """Files that are not a usable checkpoint are refused by name, and the network in use goes on with the same predictions."""
     peer = Peer()
     (info,) = latched(peer)
     camera = Camera(peer)

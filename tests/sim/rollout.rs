@@ -212,7 +212,7 @@ fn physics_does_not_depend_on_the_frame_rate() {
         }
         frames
     };
-    // At 50 Hz a frame has 10 steps, which is no multiple of the 4 steps between controls.
+    // At 50 Hz a frame has 10 steps, which is not a multiple of the 4 steps between controls.
     let [slow, fast] = [25.0, 50.0].map(at_rate);
     let mut touched = false;
     for (at, frame) in slow.iter().enumerate() {

@@ -98,7 +98,7 @@ fn certainty(label: &LabelFrame) -> Vec<f32> {
 /// differs between versions; None if there is no other list.
 pub fn with_types(text: &str, columns: &[Column]) -> Option<String> {
     let mut types: Value = serde_json::from_str(text).ok()?;
-    // Not by `[..]`, which panics where a value that is to be changed is no object.
+    // Not by `[..]`, which panics where a value that is to be changed is not an object.
     let features = types.pointer_mut("/info/features")?.as_object_mut()?;
     let is_list = |feature: &&Value| feature["length"].is_i64() && feature["feature"]["_type"] == "Value";
     let mut list = features.values().find(is_list)?.clone();

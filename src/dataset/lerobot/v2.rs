@@ -90,7 +90,7 @@ pub(super) fn episodes_stats(dataset: &LeRobot) -> Result<Option<PathBuf>> {
 /// Writes the statistics by episode with those of the new columns into the data set at `at`.
 ///
 /// # Errors
-/// If a line is no object with an index and statistics, an episode is unknown, or writing fails.
+/// If a line is not an object with an index and statistics, an episode is unknown, or writing fails.
 pub(super) fn write_episodes_stats(from: &Path, at: &Path, columns: &[Column], done: &FinishedEpisodes) -> Result<()> {
     let to = at.join(EPISODES_STATS);
     let mut out = BufWriter::new(File::create(&to).map_err(Error::io(&to))?);

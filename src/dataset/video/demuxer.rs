@@ -17,7 +17,7 @@ const SYNC: u8 = 0x47;
 /// themselves these programs would read a playlist of any name, and the files that it lists.
 ///
 /// # Errors
-/// If it is no regular file, or begins like no video.
+/// If it is not a regular file, or does not begin like a video.
 pub(super) fn arguments(path: &Path) -> Result<Vec<OsString>> {
     let mut head = Vec::new();
     input::open(path)?.take(HEAD).read_to_end(&mut head).map_err(Error::io(path))?;

@@ -68,7 +68,7 @@ impl LabelOutput for StoreOutput {
                 let further = values.map(|((name, values), _)| (name, Values::F32(values))).collect();
                 writer.push_with(frame, further)?;
             }
-            // A unit without images is no episode.
+            // A unit without images is not an episode.
             if writer.n_frames() > before {
                 writer.end_episode()?;
             }

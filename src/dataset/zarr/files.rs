@@ -52,7 +52,7 @@ impl StoreFiles {
     /// Opens the store in the folder `inside` of the zip file `path`; stored and deflated files are read.
     ///
     /// # Errors
-    /// If it can't be read or is no zip file.
+    /// If it can't be read or is not a zip file.
     pub fn zip(path: &Path, inside: &str) -> Result<Self> {
         let archive = open_zip(path)?;
         let named = archive.file_names().enumerate().filter_map(|(place, name)| Some((name.ok()?.into_owned(), place)));
@@ -281,7 +281,7 @@ impl ZipFiles {
 /// Opens a zip file.
 ///
 /// # Errors
-/// If it can't be read or is no zip file.
+/// If it can't be read or is not a zip file.
 pub(super) fn open_zip(path: &Path) -> Result<ZipArchive<SharedFile>> {
     let file = input::open(path)?;
     let size = file.metadata().map_err(Error::io(path))?.len();

@@ -101,7 +101,7 @@ impl<'a> Node<'a> {
     /// Returns keys and values of a dictionary, in the order of the file; keys are texts or whole numbers.
     ///
     /// # Errors
-    /// If the value is no dictionary.
+    /// If the value is not a dictionary.
     pub fn entries(&self) -> Result<Vec<(String, Self)>> {
         let pickle = &self.file.pickle;
         let Value::Dict(entries) = pickle.value(self.id) else { return Err(self.expected("a dictionary")) };
@@ -142,7 +142,7 @@ impl<'a> Node<'a> {
     /// Returns the items of a list.
     ///
     /// # Errors
-    /// If the value is no list.
+    /// If the value is not a list.
     pub fn items(&self) -> Result<Vec<Self>> {
         let Value::List(items) = self.file.pickle.value(self.id) else { return Err(self.expected("a list")) };
         let item =

@@ -14,7 +14,7 @@ const MAX_SKEW: f64 = 2e-3;
 /// Reads all numbers of a text file, separated by white space or commas.
 ///
 /// # Errors
-/// If the file can't be read, or a word is no finite number.
+/// If the file can't be read, or a word is not a finite number.
 pub fn read(path: &Path) -> Result<Vec<f64>> {
     parse(path, &input::read_text(path, limits::TEXT)?)
 }
@@ -22,7 +22,7 @@ pub fn read(path: &Path) -> Result<Vec<f64>> {
 /// Reads the numbers of one line or text of the file at `path`.
 ///
 /// # Errors
-/// If a word is no finite number.
+/// If a word is not a finite number.
 pub fn parse(path: &Path, text: &str) -> Result<Vec<f64>> {
     let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
     let number = |(index, word): (usize, &str)| match word.parse::<f64>() {
@@ -56,7 +56,7 @@ pub fn keypoints(values: &[f64]) -> Option<[Vec3; N_KEYPOINTS]> {
 /// Creates a rigid motion from a row-major 4 x 4 matrix. `to_metres` is the unit of its translation, m.
 ///
 /// # Errors
-/// If the matrix is no rotation and translation.
+/// If the matrix is not a rotation and translation.
 pub fn rigid(path: &Path, field: &str, rows: &[f64; 16], to_metres: f64) -> Result<DAffine3> {
     let matrix = DMat4::from_cols_array(rows).transpose();
     let last = matrix.row(3);

@@ -168,7 +168,7 @@ impl ShardRow<'_> {
     /// Returns the content of an image's file.
     ///
     /// # Errors
-    /// If the column is no structure with the bytes of a file, or they are missing.
+    /// If the column is not a structure with the bytes of a file, or they are missing.
     pub fn image(&self, name: &str) -> Result<Vec<u8>> {
         let column = self.column(name)?;
         let bytes = column.as_struct_opt().and_then(|image| image.column_by_name("bytes"));

@@ -37,7 +37,7 @@ impl TarFile {
     /// are found; [`TarFile::fault`] tells the damage.
     ///
     /// # Errors
-    /// If the file can't be read, or is no tar archive.
+    /// If the file can't be read, or is not a tar archive.
     pub fn open(path: &Path) -> Result<Self> {
         let file = input::open(path)?;
         let length = file.metadata().map_err(Error::io(path))?.len();

@@ -196,7 +196,7 @@ impl<'a> File<'a> {
         Ok(content.and_then(|content| first_text(&content)))
     }
 
-    /// Reads `camera_from_object` of each frame; `None` where it is no rigid motion.
+    /// Reads `camera_from_object` of each frame; `None` where it is not a rigid motion.
     fn object_poses(&mut self) -> Result<Vec<Option<DAffine3>>> {
         let rotations = self.array_with_gaps("object.rot", &[0, 3, 3])?;
         let places = self.array_with_gaps("object.cam_t", &[rotations.shape[0], 3])?;

@@ -30,7 +30,7 @@ pub const KIND: Kind = Kind {
 const CAMERA: &str = "cam4";
 /// Images per second.
 const FPS: f64 = 30.0;
-/// Names of the objects by class; class 0 is no object.
+/// Names of the objects by class; class 0 is not an object.
 const OBJECTS: [&str; 9] = ["", "book", "espresso", "lotion", "spray", "milk", "cocoa", "chips", "cappuccino"];
 /// Numbers of one hand: valid, translation 3, pose 48, shape 10.
 const HAND: usize = 62;

@@ -96,7 +96,7 @@ fn load_within_budget(path: &Path, budget_ms: f64, options: Options, log: &Log) 
 /// Loads a checkpoint file.
 ///
 /// # Errors
-/// If the file is missing or is no usable checkpoint.
+/// If the file is missing or is not a usable checkpoint.
 pub(super) fn load_file(path: &Path, options: Options) -> anyhow::Result<Predictor> {
     if !path.is_file() {
         bail!("model {}: no such file; give a checkpoint with -p model:=PATH", path.display());

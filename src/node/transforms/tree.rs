@@ -58,7 +58,7 @@ impl FrameTree {
     /// than ten seconds back means that time restarted, and all frames that move forget their motion.
     ///
     /// # Errors
-    /// If a name is empty, a frame is its own parent, a number is not finite, the rotation is no unit quaternion, or there
+    /// If a name is empty, a frame is its own parent, a number is not finite, the rotation is not a unit quaternion, or there
     /// are too many frames.
     pub(crate) fn insert(&mut self, transform: &TransformStamped, is_static: bool) -> Result<()> {
         let (parent, child) = (name_of(&transform.header.frame_id), name_of(&transform.child_frame_id));

@@ -107,7 +107,7 @@ impl<'a> Pickle<'a> {
         self.entry(self.entries(), name)?.map(|value| self.to_array(value, 0)).transpose()
     }
 
-    /// Returns the value of a key of the dictionary `id`; `None` if the key is absent, or the value is no dictionary.
+    /// Returns the value of a key of the dictionary `id`; `None` if the key is absent, or the value is not a dictionary.
     ///
     /// # Errors
     /// If the pickle needs too much work.

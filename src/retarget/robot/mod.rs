@@ -90,7 +90,7 @@ impl Robot {
     ///
     /// # Errors
     /// If it can't be found or read, the YAML file names something that the model lacks (the error lists the known names),
-    /// or the model is no hand.
+    /// or the model is not a hand.
     pub fn load(robot: &str, model: Option<&Path>) -> Result<Self> {
         Self::load_with_object(robot, model, None)
     }

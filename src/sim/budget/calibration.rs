@@ -50,7 +50,7 @@ fn factor(
     }
     cached.insert(key, factor);
     if let (Some(path), Ok(text)) = (cache, serde_json::to_string_pretty(&cached)) {
-        // A read-only home is no error: the next run measures again.
+        // A read-only home is not an error: the next run measures again.
         let _ = file::write(path, text.as_bytes());
     }
     Ok(factor)

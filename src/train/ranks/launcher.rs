@@ -56,7 +56,7 @@ mod tests {
         assert_eq!(of(&[("OMPI_COMM_WORLD_SIZE", "4")]), 4);
         assert_eq!(of(&[("PMI_SIZE", "3"), ("PMI_RANK", "0")]), 3);
         assert_eq!(of(&[("PMIX_RANK", "0"), ("SLURM_STEP_NUM_TASKS", "8")]), 8);
-        // A shell inside an allocation is no rank.
+        // A shell inside an allocation is not a rank.
         assert_eq!(of(&[("SLURM_STEP_NUM_TASKS", "8")]), 1);
     }
 }

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the bag `table/` with the package rosbags, which is no program of ours: JPEG images at 25 Hz, joint states between them.
+"""Writes the bag `table/` with the package rosbags, which is not a program of ours: JPEG images at 25 Hz, joint states between them.
 
 Needs rosbags, numpy and Pillow.
 """

@@ -62,7 +62,7 @@ impl Running {
     /// Sends a signal by its name.
     ///
     /// # Errors
-    /// If `kill` can't be started; a process that ended is no error.
+    /// If `kill` can't be started; a process that ended is not an error.
     pub fn signal(&self, name: &str) -> Result<()> {
         let mut kill = Command::new("sh");
         kill.args(["-c", &format!("kill -{name} {}", self.child.id())]).stderr(Stdio::null());

@@ -135,7 +135,7 @@ impl SimReport {
     /// Reads `sim.json`.
     ///
     /// # Errors
-    /// If the text is no report; `path` is for the message.
+    /// If the text is not a report; `path` is for the message.
     pub fn from_json(path: &Path, text: &str) -> Result<Self> {
         serde_json::from_str(text).map_err(|error| Error::file(path, error))
     }

@@ -94,7 +94,7 @@ def label(input, out, **options):
         if isinstance(value, (list, tuple)):
             value = ",".join(map(str, value))
         flag = "--" + name.replace("_", "-")
-        # One word, so that a value that begins with `-` is no option.
+        # One word, so that a value that begins with `-` is not an option.
         arguments.append(flag if value is True else f"{flag}={_os.fspath(value) if isinstance(value, _os.PathLike) else value}")
     return _json.loads(_egotac.label(arguments))
 

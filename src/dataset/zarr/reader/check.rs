@@ -85,7 +85,7 @@ impl ZarrReader {
             return Err(self.named(Error::shape(name, "(T, H, W, 3)", info.shape)));
         }
         check_size(width as u64, height as u64).map_err(|error| self.named(error))?;
-        // An intact image takes at least a byte; a shape by itself is no recording.
+        // An intact image takes at least a byte; a shape by itself is not a recording.
         let frames = self.len();
         if frames > UNCHECKED && self.files.bytes_below(name, frames as u64)? < frames as u64 {
             let message =
