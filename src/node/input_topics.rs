@@ -81,6 +81,16 @@ pub(crate) fn reliability_parameter(default: &'static str) -> Parameter {
 /// Inputs of a node, which [`watch`] looks at.
 struct InputTopics(Vec<Input>);
 
+/// State of the warning about a topic without publishers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Warned {
+    No,
+    /// No other topic had the type: a second warning names the first one that has it.
+    WithoutTopics,
+    /// The warning has named other topics, and does not come again.
+    WithTopics,
+}
+
 type Call = Rc<RefCell<dyn FnMut(Vec<u8>)>>;
 
 struct Input {
@@ -94,10 +104,10 @@ struct Input {
     subscription: Option<Subscription>,
     /// Quality of service of the subscription.
     qos: QosProfile,
-    since: Instant,
     next_look: Instant,
     publishers: usize,
-    has_warned: bool,
+    warned: Warned,
+    next_warning: Instant,
     /// Publishers that can't reach the subscription.
     fault: Option<String>,
 }
@@ -132,10 +142,10 @@ impl Runtime {
             call: Rc::new(RefCell::new(call)),
             subscription: None,
             qos,
-            since: Instant::now(),
             next_look: Instant::now(),
             publishers: 0,
-            has_warned: false,
+            warned: Warned::No,
+            next_warning: Instant::now() + PATIENCE,
             fault: None,
         };
         if !matches {
@@ -183,10 +193,11 @@ fn watch(runtime: &mut Runtime) {
         .iter()
         .map(|input| {
             let is_alone = !matches!(input.topic.need, Need::OneOf(group) if is_heard(group));
-            input.publishers == 0 && !input.has_warned && is_alone && now.duration_since(input.since) > PATIENCE
+            input.publishers == 0 && input.warned != Warned::WithTopics && is_alone && now > input.next_warning
         })
         .collect();
     for (input, _) in inputs.iter_mut().zip(silent).filter(|(_, is_silent)| *is_silent) {
+        input.next_warning = now + WATCH_INTERVAL;
         input.warn_of_silence(runtime);
     }
     if let Some(topics) = runtime.extension_mut::<InputTopics>() {
@@ -246,9 +257,8 @@ impl Input {
         })
     }
 
-    /// Warns once that the topic has no publisher, with the topics that may be meant.
+    /// Warns that the topic has no publisher, with the topics that may be meant. Says it again only to name topics that appeared later.
     fn warn_of_silence(&mut self, runtime: &Runtime) {
-        self.has_warned = true;
         let topics = runtime.topics().unwrap_or_default();
         let same_type: Vec<&str> = topics
             .iter()
@@ -257,6 +267,10 @@ impl Input {
             .map(|(name, _)| name.as_str())
             .filter(|name| !name.starts_with(&runtime.resolve("~/")))
             .collect();
+        if same_type.is_empty() && self.warned == Warned::WithoutTopics {
+            return;
+        }
+        self.warned = if same_type.is_empty() { Warned::WithoutTopics } else { Warned::WithTopics };
         let Self { full_name, type_name, .. } = self;
         let others = topics.get(full_name).into_iter().flatten().filter(|of| *of != type_name);
         let other_types: Vec<&str> = others.map(String::as_str).collect();

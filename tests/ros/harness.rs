@@ -13,8 +13,8 @@ use egotac::model::{Checkpoint, Config, EgoTac, Metadata, init};
 use egotac::node::own_domain::OwnDomain;
 use tempfile::TempDir;
 
-/// Time after which a program counts as hung; a passing test never waits for it.
-const TIMEOUT: Duration = Duration::from_secs(120);
+/// Time after which a program counts as hung: longer than that of a condition in peer.py. A passing test never waits for it.
+const TIMEOUT: Duration = Duration::from_secs(300);
 
 /// ROS domain, namespace and temporary folder of one test.
 pub struct Session {

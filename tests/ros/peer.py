@@ -10,8 +10,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
-TIMEOUT = 60.0
-"""Seconds after which a condition counts as failed; a passing test never waits for it."""
+TIMEOUT = 180.0
+"""Seconds after which a condition counts as failed: three times what a training took beside two compilers. A passing test never waits
+for it."""
 
 RELIABLE = QoSProfile(depth=100)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

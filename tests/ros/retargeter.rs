@@ -259,11 +259,20 @@ fn a_tracker_that_cannot_reach_the_node_is_an_error() {
 
 #[test]
 fn a_topic_without_a_publisher_is_named_once_with_those_of_its_type() {
+    names_the_silent_topic("misnamed");
+}
+
+#[test]
+fn topics_of_the_type_of_a_silent_topic_are_named_also_if_they_appear_later() {
+    names_the_silent_topic("misnamed_later");
+}
+
+fn names_the_silent_topic(case: &str) {
     let session = Session::new();
     let path = session.path("case.json");
     std::fs::write(&path, "{}").unwrap();
-    // The tracker is there first.
-    let mut peer = session.peer(PEER, &["misnamed", path.to_str().unwrap()]);
+    // The peer is there first.
+    let mut peer = session.peer(PEER, &[case, path.to_str().unwrap()]);
     peer.prints("publishing");
     let mut node = node(&session, &AT_ONCE);
     let status = peer.wait();
