@@ -60,9 +60,21 @@ impl Session {
 
     /// Starts a node's program; `ros_args` follow `--ros-args`.
     pub fn node(&self, program: &str, ros_args: &[&str]) -> Running {
+        self.spawn(self.command(program, ros_args), program)
+    }
+
+    /// As [`Self::node`], on one thread. The small networks of tests need no second one, and a training whose threads wait for each other
+    /// takes two to three times as long on a machine that is busy with other tests.
+    pub fn node_on_one_thread(&self, program: &str, ros_args: &[&str]) -> Running {
+        let mut command = self.command(program, ros_args);
+        command.env("RAYON_NUM_THREADS", "1");
+        self.spawn(command, program)
+    }
+
+    fn command(&self, program: &str, ros_args: &[&str]) -> Command {
         let mut command = Command::new(program);
         command.arg("--ros-args").arg("-r").arg(format!("__ns:={}", self.namespace)).args(ros_args);
-        self.spawn(command, program)
+        command
     }
 
     /// Starts `tests/ros/<script>` under Python.

@@ -33,7 +33,7 @@ fn config(session: &Session, data: &str, more: &str) -> String {
 
 fn trainer(session: &Session, more: &[&str]) -> Running {
     let folder = format!("folder:={}", session.path("trainer").display());
-    session.node(TRAINER, &[&["-p", &folder], more].concat())
+    session.node_on_one_thread(TRAINER, &[&["-p", &folder], more].concat())
 }
 
 #[test]
