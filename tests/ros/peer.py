@@ -11,8 +11,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
 TIMEOUT = 180.0
-"""Seconds after which a condition counts as failed: three times what a training took beside two compilers. A passing test never waits
-for it."""
+"""Seconds after which a condition counts as failed; a passing test never waits for it. A training beside two compilers took more than
+60."""
 
 RELIABLE = QoSProfile(depth=100)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
