@@ -278,7 +278,7 @@ unsafe fn avx2<E: Weight, const R: usize>(tile: &Tile<E>, row: usize, vector: us
         _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_set1_ps, _mm256_setzero_ps, _mm256_storeu_ps,
     };
     const HALF: usize = LANES / 2;
-    // `next` is not asked for: with the hints, products took as long or longer.
+    // `next` is not asked for: with the hints, most products took longer.
     let Tile { a, lda, b, k, bias, out, ldc, cols, add, .. } = *tile;
     let mut sums = [[_mm256_setzero_ps(); 2]; R];
     for i in 0..k {
