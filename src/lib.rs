@@ -52,7 +52,7 @@
 //! | `node` | the ROS 2 nodes (feature `ros`) |
 //! | `cli` | the commands |
 //!
-//! Features: `ros`, `sim` and `cuda`, none on by default.
+//! Features, none on by default: `ros`, `sim`, `cuda`, `nccl`, `mpi` and `rerun`.
 //!
 //! Units are SI: metres, newtons, seconds, radians. Cameras look along z, with x to the right and y down; vertex fields
 //! hold the left hand first, 778 values each.

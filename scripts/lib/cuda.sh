@@ -15,3 +15,12 @@ if ! command -v nvcc >/dev/null && ! [ -x "${CUDA_HOME:-/usr/local/cuda}/bin/nvc
     # The stub defines nothing; a program that is built this way finds the symbols in the GPU machine's driver.
     export RUSTFLAGS="-C link-arg=-Wl,--no-as-needed -C link-arg=-Wl,--unresolved-symbols=ignore-all"
 fi
+
+# True if a program can be linked against NCCL.
+has_nccl() {
+    local IFS=: folder
+    for folder in ${LIBRARY_PATH:-}; do
+        [ -e "$folder/libnccl.so" ] && return
+    done
+    ldconfig -p | grep -q 'libnccl\.so '
+}

@@ -191,7 +191,7 @@ fn run_steps(
     let data = Data::open(config, &geometry)?;
     let network = Network::build(config, &geometry, &data, device)?;
     let mut optimizer = AdamW::new(&network.varmap, config)?;
-    together::same_run(ranks, config, &data)?;
+    together::same_run(ranks, config, &data, device)?;
     let progress = match &files {
         Some(files) if resume => files.resume(&mut optimizer, config.steps, ranks.size())?,
         _ => Progress { step: 0, ranks: ranks.size() },

@@ -10,7 +10,6 @@ use egotac_kernels::ops;
 use super::batch::Batch;
 use super::config::{Config, LossWeights};
 use super::fixed_encoder::FixedEncoder;
-use super::gradients::Gradients;
 use super::keypoints::{self, Heads, Points};
 use super::loader::Loader;
 use super::loss::{SupervisedCounts, objective_of_share};
@@ -113,15 +112,16 @@ impl Losses {
 }
 
 impl Accumulated {
-    /// Replaces this rank's shares, and its `gradients`, by the sums over all ranks; times stay its own. Returns the bytes given.
+    /// Replaces this rank's shares by the sums over all ranks; times stay its own. `sum` replaces them, and the gradients with them, and
+    /// returns the bytes that this rank gives, as this function does.
     ///
     /// # Errors
-    /// If another rank has failed.
-    pub fn add_over(&mut self, ranks: &dyn Communicator, gradients: &mut Gradients) -> Result<usize> {
+    /// If `sum` fails.
+    pub fn add_over(&mut self, sum: impl FnOnce(&mut [f64]) -> Result<usize>) -> Result<usize> {
         let exchanging = Instant::now();
         let mut scalars: Vec<f64> = self.losses.values().iter().map(|loss| f64::from(*loss)).collect();
         scalars.extend([self.windows as f64, self.frames as f64]);
-        let bytes = gradients.sum(ranks, &mut scalars)?;
+        let bytes = sum(&mut scalars)?;
         self.losses = Losses::from_values(std::array::from_fn(|i| scalars[i] as f32));
         [self.windows, self.frames] = [8, 9].map(|i| scalars[i] as usize);
         self.exchange_secs += exchanging.elapsed().as_secs_f64();

@@ -2,8 +2,10 @@
 
 use std::time::Instant;
 
+use candle_core::backprop::GradStore;
+
 use super::config::Config;
-use super::gradients::Gradients;
+use super::gradients::{Gradients, sum_on_device};
 use super::loader::Loader;
 use super::optimizer::AdamW;
 use super::pass::{Accumulated, Pass};
@@ -100,11 +102,7 @@ impl<'a> Steps<'a> {
         let (exchange_bytes, grad_norm) = match sum.gradients.take() {
             // Gradients stay on the device.
             Some(gradients) if self.ranks.size() == 1 => (0, self.optimizer.step(&gradients, learning_rate)?),
-            gradients => {
-                let mut gradients = Gradients::new(self.optimizer.params(), gradients.as_ref())?;
-                let bytes = sum.add_over(self.ranks, &mut gradients)?;
-                (bytes, self.optimizer.apply(&gradients, learning_rate)?)
-            }
+            gradients => self.exchange(&mut sum, gradients, learning_rate)?,
         };
         self.step += 1;
 
@@ -127,6 +125,24 @@ impl<'a> Steps<'a> {
             exchange_secs,
             exchange_bytes,
         })
+    }
+
+    /// Takes a step with the gradients of all ranks, and returns the bytes that this rank gives and the norm.
+    fn exchange(
+        &mut self,
+        share: &mut Accumulated,
+        gradients: Option<GradStore>,
+        learning_rate: f64,
+    ) -> Result<(usize, f64)> {
+        let (ranks, params) = (self.ranks, self.optimizer.params());
+        if let Some(sums) = ranks.sums_on(self.pass.device) {
+            let mut gradients = gradients.unwrap_or_default();
+            let bytes = share.add_over(|scalars| sum_on_device(params, &mut gradients, ranks, sums, scalars))?;
+            return Ok((bytes, self.optimizer.step(&gradients, learning_rate)?));
+        }
+        let mut gradients = Gradients::new(params, gradients.as_ref())?;
+        let bytes = share.add_over(|scalars| gradients.sum(ranks, scalars))?;
+        Ok((bytes, self.optimizer.apply(&gradients, learning_rate)?))
     }
 
     /// Validates and saves after the steps at which that is due.

@@ -1,6 +1,6 @@
 //! Agreement of all ranks: on the run, its state, and the next step.
 
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 
 use super::Control;
 use super::checkpoint::Progress;
@@ -11,11 +11,12 @@ use super::ranks::Communicator;
 use super::setup::Data;
 use crate::error::{Error, Result};
 
-/// Checks that configuration and training data are those of rank 0.
+/// Checks that configuration and training data are those of rank 0, and that all ranks sum gradients in the same way.
 ///
 /// # Errors
 /// If they differ, or another rank has failed.
-pub fn same_run(ranks: &dyn Communicator, config: &Config, data: &Data) -> Result<()> {
+pub fn same_run(ranks: &dyn Communicator, config: &Config, data: &Data, device: &Device) -> Result<()> {
+    same_as_root(ranks, "devices (CPU or GPU)", u32::from(ranks.sums_on(device).is_some()))?;
     let yaml = serde_yaml::to_string(config).map_err(|e| Error::value("config", "one that YAML can hold", e))?;
     same_as_root(ranks, "configuration", crc32fast::hash(yaml.as_bytes()))?;
     let mut hasher = crc32fast::Hasher::new();

@@ -290,3 +290,26 @@ fn a_run_takes_the_steps_of_one_on_the_cpu_and_resumes() {
         );
     }
 }
+
+/// NCCL allows one rank on each GPU, so that a group on one GPU has one rank, which gets its own values.
+#[cfg(feature = "nccl")]
+#[test]
+fn the_sums_of_a_single_rank_are_its_own_values() {
+    use egotac::train::ranks::nccl::Nccl;
+    let gpu = gpu::open(0).unwrap();
+    let group = Nccl::join(Nccl::new_id().unwrap(), 0, 1, &gpu).unwrap();
+    // A part of a tensor too: its values do not begin where the memory of the tensor does.
+    let whole = Tensor::from_vec(numbers(3000, 5), (3, 1000), &gpu).unwrap();
+    let given = [whole.clone(), whole.narrow(0, 1, 1).unwrap()];
+    for _ in 0..3 {
+        let sums = group.sum_tensors(&given).unwrap();
+        assert_eq!(sums.len(), given.len());
+        for (sum, tensor) in sums.iter().zip(&given) {
+            assert_eq!((sum.dims(), values(sum)), (tensor.dims(), values(tensor)));
+        }
+    }
+    let across = whole.t().unwrap();
+    assert!(group.sum_tensors(&[across]).unwrap_err().to_string().contains("contiguous"));
+    assert_eq!(values(&group.sum_tensors(&given[..1]).unwrap()[0]), values(&whole));
+    assert!(Nccl::join(Nccl::new_id().unwrap(), 0, 1, &Device::Cpu).is_err());
+}

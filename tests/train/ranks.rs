@@ -14,7 +14,7 @@ use egotac::train::config::{AugmentConfig, LossWeights};
 use egotac::train::data::Dataset;
 use egotac::train::keypoints::{Heads, N_POINTS, Points, in_image};
 use egotac::train::loss::{SupervisedCounts, Targets, objective, objective_of_share};
-use egotac::train::ranks::{Communicator, threads};
+use egotac::train::ranks::{Communicator, DeviceSums, threads};
 use egotac::train::sampler::{Clip, Pool, Sampler, Share};
 use egotac::train::{Config, Control, Event, Outcome, Step, train_on};
 use proptest::prelude::*;
@@ -26,7 +26,19 @@ type OnRank = (Result<Option<Outcome>, String>, Vec<Step>);
 
 /// Trains on `ranks` threads, whose configurations `of` gives; the observer of `stopping.0` stops the run after step `stopping.1`.
 fn run(ranks: usize, of: impl Fn(usize) -> Config + Sync, resume: bool, stopping: (usize, usize)) -> Vec<OnRank> {
+    run_by(ranks, |rank| rank, of, resume, stopping)
+}
+
+/// As [`run`], where `by` makes a communicator of each thread.
+fn run_by<R: Communicator>(
+    ranks: usize,
+    by: impl Fn(threads::Thread) -> R + Sync,
+    of: impl Fn(usize) -> Config + Sync,
+    resume: bool,
+    stopping: (usize, usize),
+) -> Vec<OnRank> {
     let work = |rank: threads::Thread| {
+        let rank = by(rank);
         let (mut steps, number) = (Vec::new(), rank.rank());
         let outcome = train_on(&rank, &of(number), resume, &Device::Cpu, &mut |event| match event {
             Event::Stepped(step) => {
@@ -42,6 +54,59 @@ fn run(ranks: usize, of: impl Fn(usize) -> Config + Sync, resume: bool, stopping
         let started: Vec<_> = threads::group(ranks).into_iter().map(|rank| scope.spawn(move || work(rank))).collect();
         started.into_iter().map(|thread| thread.join().unwrap()).collect()
     })
+}
+
+/// A rank that sums gradients as tensors, as GPUs do; they are those of the CPU.
+struct ByTensor {
+    rank: threads::Thread,
+    /// False for a rank that sums them in host memory after all.
+    sums: bool,
+}
+
+impl DeviceSums for ByTensor {
+    fn sum_tensors(&self, tensors: &[Tensor]) -> egotac::Result<Vec<Tensor>> {
+        let sum = |tensor: &Tensor| {
+            assert!(tensor.is_contiguous());
+            let mut values = tensor.flatten_all()?.to_vec1()?;
+            self.rank.sum_f32(&mut values)?;
+            Ok(Tensor::from_vec(values, tensor.shape(), &Device::Cpu)?)
+        };
+        tensors.iter().map(sum).collect()
+    }
+}
+
+impl Communicator for ByTensor {
+    fn rank(&self) -> usize {
+        self.rank.rank()
+    }
+
+    fn size(&self) -> usize {
+        self.rank.size()
+    }
+
+    fn sum_f32(&self, _: &mut [f32]) -> egotac::Result<()> {
+        panic!("gradients in host memory")
+    }
+
+    fn sum_f64(&self, values: &mut [f64]) -> egotac::Result<()> {
+        self.rank.sum_f64(values)
+    }
+
+    fn broadcast(&self, values: &mut [f32]) -> egotac::Result<()> {
+        self.rank.broadcast(values)
+    }
+
+    fn barrier(&self) -> egotac::Result<()> {
+        self.rank.barrier()
+    }
+
+    fn sums_on(&self, device: &Device) -> Option<&dyn DeviceSums> {
+        (self.sums && device.is_cpu()).then_some(self)
+    }
+
+    fn abort(&self, error: &dyn std::fmt::Display) {
+        self.rank.abort(error);
+    }
 }
 
 /// Quarters of the vertices whose force and contact are known, true force, predicted force.
@@ -98,6 +163,25 @@ fn ranks_take_the_steps_of_one_process_with_the_whole_batch() {
 }
 
 #[test]
+fn gradients_are_the_same_whether_summed_in_host_memory_or_as_tensors() {
+    let folder = tempfile::tempdir().unwrap();
+    stores::write(folder.path());
+    // The last batch of an epoch has fewer than seven clips, so that some ranks have no gradient.
+    for (ranks, clips) in [(2, 2), (7, 1)] {
+        let of = |out: &str| config(folder.path(), out, clips, 6);
+        let (host, tensors) = (format!("host{ranks}"), format!("tensors{ranks}"));
+        let left = run(ranks, |_| of(&host), false, NEVER);
+        let right = run_by(ranks, |rank| ByTensor { rank, sums: true }, |_| of(&tensors), false, NEVER);
+        assert_eq!(compare(&right[0].1, &left[0].1), 0.0);
+        // As tensors, no zeros are sent for variables of which no rank has a gradient.
+        let [left, right] = [left, right].map(|results| results[0].1[0].exchange_bytes);
+        assert!(right <= left && right > left / 10 * 9, "{right} of {left}");
+        let at = |out: &str| folder.path().join(out).join("checkpoint.safetensors");
+        assert_eq!(stores::difference(&at(&host), &at(&tensors)).0, 0.0);
+    }
+}
+
+#[test]
 fn a_run_resumes_on_another_number_of_ranks() {
     let folder = tempfile::tempdir().unwrap();
     stores::write(folder.path());
@@ -127,6 +211,9 @@ fn all_ranks_fail_when_one_does() {
     let other_seed = |rank| Config { seed: 5 + rank as u64, ..config(folder.path(), "seeds", 2, 4) };
     let told = run(2, other_seed, false, NEVER).into_iter().map(|(outcome, _)| outcome.unwrap_err());
     assert!(told.into_iter().all(|error| error.contains("rank 1")));
+    let other_device = |rank: threads::Thread| ByTensor { sums: rank.rank() == 0, rank };
+    let told = run_by(2, other_device, |_| config(folder.path(), "devices", 2, 4), false, NEVER);
+    assert!(told[1].0.as_ref().unwrap_err().contains("devices (CPU or GPU) of rank 1"), "{told:?}");
     let other_data = |rank| {
         let config = config(folder.path(), "data", 2, 4);
         match rank {

@@ -35,6 +35,7 @@ fn egotac() -> Row {
         ("ros", cfg!(feature = "ros")),
         ("sim", cfg!(feature = "sim")),
         ("cuda", cfg!(feature = "cuda")),
+        ("nccl", cfg!(feature = "nccl")),
         ("mpi", cfg!(feature = "mpi")),
         ("rerun", cfg!(feature = "rerun")),
     ];

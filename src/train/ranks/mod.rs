@@ -1,15 +1,19 @@
 //! Ranks: the processes that train one network together, each on its part of every batch.
 //!
 //! [`Communicator`] is all that training needs of them. [`Single`] is one process, [`threads`] are ranks in one process for
-//! tests, and feature `mpi` adds processes of an MPI launcher on one or several machines. NCCL is not implemented: it would be a
-//! fourth implementation, and until then gradients that lie on a GPU are summed in host memory.
+//! tests, and feature `mpi` adds processes of an MPI launcher on one or several machines. Gradients are summed in host memory
+//! unless the communicator offers [`DeviceSums`]: with features `mpi` and `nccl`, those on GPUs are summed by NCCL.
 
 mod launcher;
 #[cfg(feature = "mpi")]
 mod mpi;
+#[cfg(feature = "nccl")]
+pub mod nccl;
 pub mod threads;
 
 use std::fmt::Display;
+
+use candle_core::{Device, Tensor};
 
 use crate::error::Result;
 
@@ -51,10 +55,25 @@ pub trait Communicator {
     /// ranks fail.
     fn abort(&self, error: &dyn Display);
 
+    /// Returns the sums of tensors on `device`, without copies to host memory; None if there are none. All ranks get the same answer.
+    fn sums_on(&self, _device: &Device) -> Option<&dyn DeviceSums> {
+        None
+    }
+
     /// Returns true on rank 0, which alone writes files.
     fn is_root(&self) -> bool {
         self.rank() == 0
     }
+}
+
+/// Sums over all ranks of tensors on a device.
+pub trait DeviceSums {
+    /// Returns the sum of each tensor over all ranks, in a tensor of its own; every rank gets the same bits. The tensors are contiguous,
+    /// in f32, all on one device, and of the same number and shapes on all ranks.
+    ///
+    /// # Errors
+    /// If another rank has failed or ended, or the device is out of memory.
+    fn sum_tensors(&self, tensors: &[Tensor]) -> Result<Vec<Tensor>>;
 }
 
 /// The only rank of a training.

@@ -1,7 +1,11 @@
 //! Ranks that are processes of an MPI launcher.
 
+#[cfg(feature = "nccl")]
+use std::cell::OnceCell;
 use std::fmt::Display;
 
+#[cfg(feature = "nccl")]
+use candle_core::{Device, Tensor};
 use mpi::Threading;
 use mpi::collective::SystemOperation;
 use mpi::environment::Universe;
@@ -9,6 +13,8 @@ use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator as _, CommunicatorCollectives, Equivalence, Root};
 
 use super::Communicator;
+#[cfg(feature = "nccl")]
+use super::{DeviceSums, nccl::Nccl};
 use crate::error::{Error, Result};
 use crate::text::tell;
 
@@ -18,6 +24,9 @@ const MOST_VALUES: usize = 1 << 24;
 /// All processes of an MPI launcher.
 pub struct Mpi {
     world: SimpleCommunicator,
+    /// Sums on GPUs, which begin with the first ones that are asked for.
+    #[cfg(feature = "nccl")]
+    gpus: OnceCell<Nccl>,
     /// Finalises MPI when it is dropped.
     _universe: Universe,
 }
@@ -31,7 +40,12 @@ impl Mpi {
         let (universe, threading) = mpi::initialize_with_threading(Threading::Funneled)
             .ok_or_else(|| Error::value("MPI", "one initialisation per process", "a second one"))?;
         match threading >= Threading::Funneled {
-            true => Ok(Self { world: universe.world(), _universe: universe }),
+            true => Ok(Self {
+                world: universe.world(),
+                #[cfg(feature = "nccl")]
+                gpus: OnceCell::new(),
+                _universe: universe,
+            }),
             false => Err(Error::value("MPI", "threads beside the one that calls it (MPI_THREAD_FUNNELED)", "none")),
         }
     }
@@ -77,9 +91,31 @@ impl Communicator for Mpi {
         Ok(())
     }
 
+    #[cfg(feature = "nccl")]
+    fn sums_on(&self, device: &Device) -> Option<&dyn DeviceSums> {
+        device.is_cuda().then_some(self)
+    }
+
     fn abort(&self, error: &dyn Display) {
         tell(format_args!("egotac: rank {} of {}: {error}", self.rank(), self.size()));
         self.world.abort(1);
+    }
+}
+
+#[cfg(feature = "nccl")]
+impl DeviceSums for Mpi {
+    fn sum_tensors(&self, tensors: &[Tensor]) -> Result<Vec<Tensor>> {
+        let Some(first) = tensors.first() else { return Ok(Vec::new()) };
+        let gpus = match self.gpus.get() {
+            Some(gpus) => gpus,
+            None => {
+                let mut id = if self.is_root() { Nccl::new_id()? } else { [0; 128] };
+                self.world.process_at_rank(0).broadcast_into(&mut id[..]);
+                let joined = Nccl::join(id, self.rank(), self.size(), first.device())?;
+                self.gpus.get_or_init(|| joined)
+            }
+        };
+        gpus.sum_tensors(tensors)
     }
 }
 
