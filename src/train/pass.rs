@@ -112,8 +112,9 @@ impl Losses {
 }
 
 impl Accumulated {
-    /// Replaces this rank's shares by the sums over all ranks; times stay its own. `sum` replaces them, and the gradients with them, and
-    /// returns the bytes that this rank gives, as this function does.
+    /// Replaces this rank's shares by the sums over all ranks; times stay its own. Returns the bytes that this rank sends.
+    ///
+    /// `sum` replaces its argument, and the gradients, by the sums over all ranks, and returns the bytes that this rank sends.
     ///
     /// # Errors
     /// If `sum` fails.

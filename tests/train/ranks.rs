@@ -56,10 +56,10 @@ fn run_by<R: Communicator>(
     })
 }
 
-/// A rank that sums gradients as tensors, as GPUs do; they are those of the CPU.
+/// A rank that sums gradients as tensors, as ranks with GPUs do, but on the CPU.
 struct ByTensor {
     rank: threads::Thread,
-    /// False for a rank that sums them in host memory after all.
+    /// False for a rank that can't.
     sums: bool,
 }
 

@@ -55,7 +55,8 @@ pub trait Communicator {
     /// ranks fail.
     fn abort(&self, error: &dyn Display);
 
-    /// Returns the sums of tensors on `device`, without copies to host memory; None if there are none. All ranks get the same answer.
+    /// Returns what sums tensors on `device` without copies to host memory; None if the ranks sum in host memory only. Either all ranks
+    /// must get one or none.
     fn sums_on(&self, _device: &Device) -> Option<&dyn DeviceSums> {
         None
     }

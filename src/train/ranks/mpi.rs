@@ -24,7 +24,7 @@ const MOST_VALUES: usize = 1 << 24;
 /// All processes of an MPI launcher.
 pub struct Mpi {
     world: SimpleCommunicator,
-    /// Sums on GPUs, which begin with the first ones that are asked for.
+    /// Group of the ranks' GPUs, joined at the first sum.
     #[cfg(feature = "nccl")]
     gpus: OnceCell<Nccl>,
     /// Finalises MPI when it is dropped.
