@@ -22,5 +22,6 @@ has_nccl() {
     for folder in ${LIBRARY_PATH:-}; do
         [ -e "$folder/libnccl.so" ] && return
     done
-    ldconfig -p | grep -q 'libnccl\.so '
+    # Not -q, which would end ldconfig by a signal, and with `pipefail` this function.
+    ldconfig -p | grep 'libnccl\.so ' >/dev/null
 }
