@@ -149,7 +149,7 @@ fn live_training_improves_the_predictor() {
     Checkpoint::save(&first, &Config::toy(), &Metadata::new("random", 1.0, 0.04), &vars).unwrap();
     let config =
         config(&session, "none.zarr", "augment: { mirror: 0.0, crop: 0.0, view_scale: 0.0 }\nloss: { active: 1.0 }\n");
-    // Live images are many and alike: fewer steps, with larger changes, suffice.
+    // Few steps with large changes, so that the test ends within a minute.
     let text = std::fs::read_to_string(&config).unwrap();
     let text = text.replace("steps: 150", "steps: 300").replace("{ learning_rate: 0.004", "{ learning_rate: 0.008");
     std::fs::write(&config, text).unwrap();
