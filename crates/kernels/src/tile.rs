@@ -4,12 +4,18 @@ use crate::aligned::Number;
 use crate::rows::part;
 use crate::simd;
 
-/// Rows of most tiles. With three vectors of columns the sums take 24 of the 32 registers of AVX-512; three more hold a
-/// line of the panel and one the broadcast value of `a`.
+/// Rows of most tiles, except with AVX2. With three vectors of columns the sums take 24 of the 32 registers of AVX-512; three more
+/// hold a line of the panel and one the broadcast value of `a`.
 const ROWS: usize = 8;
-/// Rows of the largest tile. A frame has a multiple of 8 patches and one CLS token: in a tile of its own that token would
-/// leave most registers idle, and each multiply-add would wait for the one before.
-pub const MOST_ROWS: usize = ROWS + 1;
+/// Rows of most tiles with AVX2: two pieces of [`AVX2_ROWS`].
+const ROWS_WITH_AVX2: usize = 2 * AVX2_ROWS;
+/// Rows of the largest piece with AVX2. With two vectors of 8 columns the sums take 12 of the 16 registers, a line of the panel two,
+/// and the broadcast value of `a` one. With 4 rows and 3 vectors all 16 are taken, but the compiler keeps a sum in memory, and
+/// products take twice as long.
+const AVX2_ROWS: usize = 6;
+/// Rows of the largest tile of any processor. A frame has a multiple of 8 patches and one CLS token: in a tile of its own that token
+/// would leave most registers idle, and each multiply-add would wait for the one before.
+pub const MOST_ROWS: usize = ROWS_WITH_AVX2 + 1;
 /// Lines of a panel that are asked for ahead of their use. Wide panels come from the L2 cache, and the processor alone asks too
 /// late: products of 257 x 768 x 2304 took a sixth longer.
 #[cfg(target_arch = "x86_64")]
@@ -28,11 +34,15 @@ pub const VECTORS: usize = 3;
 /// AVX2 computes one vector after the other. In panels of their own their lines are contiguous, and the panel of a layer with 3072
 /// inputs fits into the L2 cache, which one of three vectors exceeds: that product takes 0.7 of the time, others 0.85 to 1.
 pub fn widest() -> usize {
+    if prefers_avx2() { 1 } else { VECTORS }
+}
+
+/// True if [`compute`] uses AVX2.
+fn prefers_avx2() -> bool {
     #[cfg(target_arch = "x86_64")]
-    if !std::arch::is_x86_feature_detected!("avx512f") && has_avx2() {
-        return 1;
-    }
-    VECTORS
+    return !std::arch::is_x86_feature_detected!("avx512f") && has_avx2();
+    #[cfg(not(target_arch = "x86_64"))]
+    false
 }
 
 /// True if [`compute`] may use AVX2.
@@ -118,9 +128,14 @@ impl Next {
 
 /// Number of tiles that `rows` rows are split into by [`part`].
 pub fn count(rows: usize) -> usize {
-    match rows % ROWS {
-        1 if rows > ROWS => rows / ROWS,
-        _ => rows.div_ceil(ROWS),
+    count_of(rows, if prefers_avx2() { ROWS_WITH_AVX2 } else { ROWS })
+}
+
+/// Number of tiles of `most` rows, or of one more: no tile has a single row beside others.
+fn count_of(rows: usize, most: usize) -> usize {
+    match rows % most {
+        1 if rows > most => rows / most,
+        _ => rows.div_ceil(most),
     }
 }
 
@@ -204,6 +219,9 @@ impl Weight for u16 {
 
 /// Computes a tile of `rows` rows and `vectors` vectors of columns, with the widest vectors of the processor.
 ///
+/// # Panics
+/// If the tile is larger than those that [`count`] and [`widest`] give on a processor with AVX-512.
+///
 /// # Safety
 /// - `rows` is 1 to [`MOST_ROWS`], `vectors` 1 to [`VECTORS`], `cols` at most 16 `vectors`;
 /// - `rows` rows of `k` values can be read from `a`, `k` x 16 `vectors` weights from `b`, `cols` values from a bias that is
@@ -238,15 +256,13 @@ pub unsafe fn compute<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
     unsafe { portable(tile, rows, vectors) }
 }
 
-/// As [`compute`], in pieces of up to 5 rows and 2 vectors of 8 columns, whose sums fit into the 16 registers of AVX2 beside a
-/// line of the panel and a value of `a`. With 4 rows and 3 vectors they fit exactly, but the compiler keeps a sum in memory, and
-/// products take twice as long.
+/// As [`compute`], in pieces of up to [`AVX2_ROWS`] rows and 2 vectors of 8 columns.
 ///
 /// # Safety
 /// As [`compute`]; the processor has AVX2 and FMA.
 #[cfg(target_arch = "x86_64")]
 unsafe fn by_avx2<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
-    let pieces = rows.div_ceil(5);
+    let pieces = rows.div_ceil(AVX2_ROWS);
     // The columns of a piece stay in the L1 cache while all rows pass.
     for vector in 0..vectors {
         for piece in 0..pieces {
@@ -257,6 +273,7 @@ unsafe fn by_avx2<E: Weight>(tile: &Tile<E>, rows: usize, vectors: usize) {
                 3 => avx2::<E, 3>,
                 4 => avx2::<E, 4>,
                 5 => avx2::<E, 5>,
+                AVX2_ROWS => avx2::<E, AVX2_ROWS>,
                 rows => unreachable!("a piece of {rows} rows"),
             };
             // SAFETY: rows `row` to `end` and vector `vector` are inside of the tile, whose pointers are as the caller
@@ -419,6 +436,11 @@ mod tests {
     /// A way to compute a tile of f32 and of bf16 weights.
     type Form = (unsafe fn(&Tile<f32>, usize, usize), unsafe fn(&Tile<u16>, usize, usize));
 
+    /// Rows of the largest tile that [`compute`] takes on this processor.
+    fn most_rows() -> usize {
+        if prefers_avx2() { MOST_ROWS } else { ROWS + 1 }
+    }
+
     #[test]
     fn the_shares_of_successive_tiles_ask_for_each_cache_line_of_a_panel_once() {
         let panel = vec![0u8; 1000 * LINE + 7];
@@ -450,29 +472,37 @@ mod tests {
                 next += size;
             }
             assert_eq!(next, rows);
+            for most in [ROWS, ROWS_WITH_AVX2] {
+                let tiles = count_of(rows, most);
+                let mut sizes = (0..tiles).map(|tile| part(tile, tiles, rows).1);
+                assert!(sizes.all(|size| (rows.min(4)..=most + 1).contains(&size)), "{rows} in tiles of {most}");
+            }
         }
     }
 
     #[test]
     fn all_forms_give_the_product_in_f64_for_every_size() {
-        let mut forms: Vec<Form> = vec![(compute::<f32>, compute::<u16>), (portable::<f32>, portable::<u16>)];
+        let mut forms: Vec<(Form, usize)> =
+            vec![((compute::<f32>, compute::<u16>), most_rows()), ((portable::<f32>, portable::<u16>), MOST_ROWS)];
         #[cfg(target_arch = "x86_64")]
         if has_avx2() {
-            forms.push((by_avx2::<f32>, by_avx2::<u16>));
+            forms.push(((by_avx2::<f32>, by_avx2::<u16>), MOST_ROWS));
         }
         let value = |i: usize| ((i * 7919 % 1013) as f32 / 1013.0) - 0.5;
         // Miri is slow: a short product.
         let k = if cfg!(miri) { 5 } else { 21 };
         let lda = k + 4;
         let a: Vec<f32> = (0..MOST_ROWS * lda).map(value).collect();
-        for (rows, vectors, cols) in [(1, 1, 3), (2, 2, 32), (5, 3, 33), (8, 3, 48), (8, 2, 17), (7, 1, 16), (9, 3, 40)]
-        {
+        let narrow = (1..=MOST_ROWS).map(|rows| (rows, 1, 16 - rows));
+        let wide = [(2, 2, 32), (5, 3, 33), (8, 3, 48), (8, 2, 17), (7, 1, 16), (9, 3, 40), (MOST_ROWS, 3, 48)];
+        for (rows, vectors, cols) in narrow.chain(wide) {
             let width = vectors * LANES;
             let b: Vec<f32> = (0..k * width).map(|i| value(i + 5)).collect();
             let half: Vec<u16> = b.iter().map(|b| half::bf16::from_f32(*b).to_bits()).collect();
             let bias: Vec<f32> = (0..cols).map(|i| value(i + 99)).collect();
             let ldc = cols + 2;
-            for (form, add, bf16) in forms.iter().flat_map(|form| [0, 1, 2, 3].map(|i| (form, i % 2 == 1, i > 1))) {
+            let forms = forms.iter().filter(|(_, most)| rows <= *most);
+            for (form, add, bf16) in forms.flat_map(|(form, _)| [0, 1, 2, 3].map(|i| (form, i % 2 == 1, i > 1))) {
                 let mut out = vec![1.0f32; rows * ldc];
                 let base = Tile {
                     a: a.as_ptr(),

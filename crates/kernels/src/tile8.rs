@@ -43,8 +43,12 @@ pub struct Tile8 {
 
 /// Computes a tile of `rows` rows and `vectors` vectors of columns.
 ///
+/// # Panics
+/// If the tile is larger than those that [`tile::count`](crate::tile::count) and [`tile::widest`](crate::tile::widest) give on a
+/// processor with AVX-512.
+///
 /// # Safety
-/// - `rows` is 1 to 9, `vectors` 1 to 3, `cols` at most 16 `vectors`;
+/// - `rows` is 1 to [`MOST_ROWS`](crate::tile::MOST_ROWS), `vectors` 1 to 3, `cols` at most 16 `vectors`;
 /// - `rows` rows of 4 `k` activations can be read from `a`, `k` x 64 `vectors` weights from `b`, `rows` scales and zero
 ///   points from `rows`, `cols` values each from `scales`, `sums` and `bias`;
 /// - `rows` rows of `cols` values of `out` can be read and written, and no other thread uses them during the call.
