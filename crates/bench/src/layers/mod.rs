@@ -1,11 +1,11 @@
-//! Time of each step of the vision encoder, beside what the processor can compute and read: a roofline.
+//! Time of each step of the vision encoder, beside what the processor can compute and read (a roofline), and beside one thread.
 
 mod table;
 
 use std::hint::black_box;
 use std::time::Instant;
 
-use egotac::error::Result;
+use egotac::error::{Error, Result};
 use egotac::machine::Machine;
 use egotac::model::{Config, Precision};
 use egotac::statistics::median;
@@ -15,6 +15,7 @@ use egotac_kernels::norm::Norm;
 use egotac_kernels::packed::{Format, Packed, Then};
 use egotac_kernels::rows::Rows;
 use egotac_kernels::{peak, team};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::Serialize;
 
 /// Values that are read to measure the memory: 512 MB, more than most caches hold.
@@ -22,11 +23,13 @@ const READ: usize = 1 << 27;
 /// Epsilon of the norms.
 const EPS: f32 = 1e-6;
 
-/// The two roofs.
+/// The roofs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Peaks {
     /// Operations per second in registers, 10⁹/s.
     pub gflops: f64,
+    /// Those of one thread.
+    pub gflops_of_one: f64,
     /// Bytes read per second from memory, 10⁹/s.
     pub gbytes: f64,
 }
@@ -38,6 +41,8 @@ pub struct Step {
     pub name: &'static str,
     /// Median time in a frame, ms.
     pub ms: f64,
+    /// That on one thread.
+    pub ms_on_one: f64,
     /// Operations in a frame, 10⁹.
     pub gflop: f64,
     /// Least bytes to move in a frame, 10⁶: weights, inputs and outputs once each.
@@ -82,37 +87,51 @@ pub struct LayersReport {
     pub rows: Vec<Row>,
 }
 
-/// Measures the encoders of presets with the threads of rayon's pool; `progress(preset, precision)` is called before each.
+/// Frames on many threads and on one.
+struct Pools {
+    all: ThreadPool,
+    one: ThreadPool,
+}
+
+/// Measures the encoders of presets, frame by frame in turn on `threads` threads and on one; `progress(preset, precision)` is called
+/// before each.
 ///
 /// # Errors
-/// If a preset does not exist.
+/// If a preset does not exist, or the system refuses the threads.
 pub fn measure(
     command: String,
     presets: &[String],
     precisions: &[Precision],
-    runs: usize,
+    (threads, runs): (usize, usize),
     mut progress: impl FnMut(&str, Precision),
 ) -> Result<LayersReport> {
-    let gbytes = read_rate();
+    let pool = |threads: usize| {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.map_err(|error| Error::value("threads", "a number that the system grants", format!("{threads}: {error}")))
+    };
+    let pools = Pools { all: pool(threads)?, one: pool(1)? };
+    let gbytes = pools.all.install(read_rate);
     let mut rows = Vec::new();
     for preset in presets {
         let config = Config::preset(preset)?;
         for precision in precisions {
             progress(preset, *precision);
-            let peaks = Peaks { gflops: operation_rate(precision.format()), gbytes };
+            let rate = |pool: &ThreadPool| pool.install(|| operation_rate(precision.format()));
+            let peaks = Peaks { gflops: rate(&pools.all), gflops_of_one: rate(&pools.one), gbytes };
             rows.push(Row {
                 preset: preset.clone(),
                 precision: *precision,
                 peaks,
-                steps: steps(&config, *precision, runs),
+                steps: steps(&config, *precision, &pools, runs),
             });
         }
     }
-    let (egotac, threads) = (egotac::VERSION, rayon::current_num_threads());
+    let egotac = egotac::VERSION;
     Ok(LayersReport { command, egotac, machine: Machine::this(), threads, runs, rows })
 }
 
-/// Operations per second of all threads, 10⁹/s: the best of several tries, since other load only lowers it.
+/// Operations per second of all threads, 10⁹/s: the best of many tries, since other load only lowers it, and the system may need a
+/// while to give each thread a core of its own.
 fn operation_rate(format: Format) -> f64 {
     let rounds = 200_000_000 / (peak::multiply_add(format, 1) as usize).max(1);
     let rate = || {
@@ -120,7 +139,7 @@ fn operation_rate(format: Format) -> f64 {
         let operations: f64 = rayon::broadcast(|_| peak::multiply_add(format, rounds)).iter().sum();
         operations / begun.elapsed().as_secs_f64() / 1e9
     };
-    (0..10).map(|_| rate()).fold(0.0, f64::max)
+    (0..200).map(|_| rate()).fold(0.0, f64::max)
 }
 
 /// Bytes that all threads read per second, 10⁹/s.
@@ -145,7 +164,7 @@ struct Layer {
 
 /// Measures each step with weights and activations of the encoder's sizes. Each layer has weights of its own, so that they come
 /// from where they would come from in the network.
-fn steps(config: &Config, precision: Precision, runs: usize) -> Vec<Step> {
+fn steps(config: &Config, precision: Precision, pools: &Pools, runs: usize) -> Vec<Step> {
     let format = precision.format();
     let (d, n, depth) = (config.vision_width, config.tokens() + config.registers, config.vision_depth);
     let patch = 3 * config.patch * config.patch;
@@ -165,8 +184,7 @@ fn steps(config: &Config, precision: Precision, runs: usize) -> Vec<Step> {
     let (patches, h) = (values((n - 1) * patch), values(n * d));
     let [mut x, mut qkv, mut hidden] = std::array::from_fn(|_| Activations::default());
     let mut sum = values(n * d);
-    let mut times: [Vec<f64>; 7] = Default::default();
-    for _ in 0..=runs {
+    let mut frame = || {
         let mut of_frame = [0.0; 7];
         team::lead(|| {
             let mut timed = |step: usize, run: &mut dyn FnMut()| {
@@ -187,7 +205,16 @@ fn steps(config: &Config, precision: Precision, runs: usize) -> Vec<Step> {
             }
             black_box(&sum);
         });
-        times.iter_mut().zip(of_frame).for_each(|(times, ms)| times.push(ms));
+        of_frame
+    };
+    // The first frame fills caches and is left out.
+    pools.all.install(&mut frame);
+    let mut times: [[Vec<f64>; 7]; 2] = Default::default();
+    for _ in 0..runs {
+        for (pool, times) in [&pools.all, &pools.one].into_iter().zip(&mut times) {
+            let of_frame = pool.install(&mut frame);
+            times.iter_mut().zip(of_frame).for_each(|(times, ms)| times.push(ms));
+        }
     }
     let product = |k: usize, n_out: usize, rows: usize| 2.0 * (k * n_out * rows) as f64;
     let bytes = |form: Form| match form {
@@ -220,14 +247,15 @@ fn steps(config: &Config, precision: Precision, runs: usize) -> Vec<Step> {
         ),
         ("second layer of the MLP", of_layers(product(4 * d, d, n), moved(&sample.fc2, 4 * d, None, n))),
     ];
-    // The first frame fills caches and is left out.
-    let timed = work.into_iter().zip(times);
-    timed
-        .map(|((name, (operations, bytes)), times)| {
-            let ms = median(times.into_iter().skip(1));
-            Step { name, ms, gflop: operations / 1e9, mbytes: bytes / 1e6 }
-        })
-        .collect()
+    let [of_all, of_one] = times.map(|steps| steps.map(|times| median(times.into_iter())));
+    let step = |((name, (operations, bytes)), (ms, ms_on_one))| Step {
+        name,
+        ms,
+        ms_on_one,
+        gflop: operations / 1e9,
+        mbytes: bytes / 1e6,
+    };
+    work.into_iter().zip(of_all.into_iter().zip(of_one)).map(step).collect()
 }
 
 #[cfg(test)]
@@ -237,18 +265,20 @@ mod tests {
     #[test]
     fn steps_count_the_operations_of_the_encoder() {
         let config = Config::preset("toy").unwrap();
-        let steps = steps(&config, Precision::F32, 1);
+        let pool = |threads| ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let steps = steps(&config, Precision::F32, &Pools { all: pool(2), one: pool(1) }, 1);
         let (d, n) = (config.vision_width as f64, (config.tokens() + config.registers) as f64);
         let by_hand = 2.0 * n * 12.0 * d * d + 4.0 * n * n * d;
         let counted: f64 = steps[2..].iter().map(|step| 1e9 * step.gflop).sum();
         assert!((counted - config.vision_depth as f64 * by_hand).abs() < 1.0, "{counted}");
-        assert!(steps.iter().all(|step| step.ms > 0.0 && step.mbytes > 0.0));
+        assert!(steps.iter().all(|step| step.ms > 0.0 && step.ms_on_one > 0.0 && step.mbytes > 0.0));
     }
 
     #[test]
     fn the_lower_roof_bounds_a_step() {
-        let step = Step { name: "a", ms: 9.0, gflop: 2.0, mbytes: 30.0 };
-        assert_eq!(step.bound(&Peaks { gflops: 1000.0, gbytes: 30.0 }), (2.0, false));
-        assert_eq!(step.bound(&Peaks { gflops: 1000.0, gbytes: 10.0 }), (3.0, true));
+        let step = Step { name: "a", ms: 9.0, ms_on_one: 18.0, gflop: 2.0, mbytes: 30.0 };
+        let peaks = Peaks { gflops: 1000.0, gflops_of_one: 500.0, gbytes: 30.0 };
+        assert_eq!(step.bound(&peaks), (2.0, false));
+        assert_eq!(step.bound(&Peaks { gbytes: 10.0, ..peaks }), (3.0, true));
     }
 }

@@ -27,7 +27,6 @@ pub struct Args {
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
     args.preset.iter().try_for_each(|preset| Config::preset(preset).map(drop))?;
-    rayon::ThreadPoolBuilder::new().num_threads(args.threads as usize).build_global()?;
     let precisions: Vec<&str> = args.precision.iter().map(|precision| precision.name()).collect();
     let mut command = format!(
         "egotac bench layers --preset {} --precision {} --threads {} --runs {}",
@@ -38,7 +37,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     );
     command += &args.output.words();
     let bar = progress::told_bar("encoders");
-    let report = layers::measure(command, &args.preset, &args.precision, args.runs as usize, |preset, precision| {
+    let sizes = (args.threads as usize, args.runs as usize);
+    let report = layers::measure(command, &args.preset, &args.precision, sizes, |preset, precision| {
         bar.set_message(format!("{preset} {precision}"));
         bar.inc(1);
     })?;
