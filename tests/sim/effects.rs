@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use egotac::hand::{HandModel, N_BETAS, Side};
-use egotac::mujoco::Facts;
+use egotac::mujoco::{Facts, PhysicsOptions};
 use egotac::sim::lens::Lens;
 use egotac::sim::randomize::EpisodeDraw;
 use egotac::sim::rig::HandRig;
@@ -122,6 +122,8 @@ fn without_soft_bodies_the_ball_is_rigid_and_has_no_elements() {
     let soft = rollout("squeeze_ball", all);
     assert_eq!(soft.world().facts().soft_bodies, 1);
     assert_eq!(soft.world().options().integrator, egotac::mujoco::Integrator::Discrete);
+    // The timestep is the preset's: the discrete integrator is stable at any stiffness.
+    assert_eq!(soft.world().options().timestep, PhysicsOptions::default().timestep);
     let rigid = rollout("squeeze_ball", all.without(Effect::SoftBody));
     assert_eq!(rigid.world().facts().soft_bodies, 0);
     assert_ne!(rigid.world().options().integrator, egotac::mujoco::Integrator::Discrete);

@@ -77,6 +77,9 @@ fn optional_keys_are_checked() {
     assert!(error.contains("camera.shutter") && error.contains("0.04"), "{error}");
     let error = edited("shape: { cube: { size: [0.03, 0.048] } }", "shape: { soft: { radius: 0.03, stiffness: 1 } }");
     assert!(error.contains("objects[0].shape.stiffness"), "{error}");
+    let soft = "shape: { soft: { radius: 0.03, stiffness: 9000, points: 3 } }";
+    let error = edited("shape: { cube: { size: [0.03, 0.048] } }", soft);
+    assert!(error.contains("objects[0].shape.points") && error.contains("4 to 15"), "{error}");
 }
 
 /// Writes the stump of a pyramid, 40 mm high, in millimetres, with the given faces, and the scene `hover` with it.

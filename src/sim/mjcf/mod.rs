@@ -20,8 +20,6 @@ pub(crate) use photo::Files;
 pub(crate) const WRIST_STIFFNESS: f64 = 2500.0;
 /// Name of the head's mocap body and of its camera.
 pub const HEAD: &str = "head";
-/// Number of points per axis of a soft ball's grid.
-const SOFT_GRID_POINTS: usize = 7;
 /// Half edges of the table top, m.
 pub(crate) const TABLE_HALF: DVec3 = DVec3::new(0.6, 0.45, 0.02);
 /// Centre of the table top, m: its upper face is at z = 0.
@@ -239,8 +237,8 @@ fn object_body(
         Mount::Joint(joint) if effects.contains(Effect::Articulation) => put_joint(name, joint, world),
         // Without articulation the part is fixed.
         Mount::Joint(_) => (),
-        Mount::Soft { radius, stiffness } if effects.contains(Effect::SoftBody) => {
-            soft(object, *radius, *stiffness, effects, world);
+        Mount::Soft { radius, stiffness, points } if effects.contains(Effect::SoftBody) => {
+            soft(object, (*radius, *stiffness, *points), effects, world);
             world.push_str("</body>\n");
             return;
         }
@@ -309,14 +307,14 @@ fn put_joint(name: &str, joint: &JointMount, world: &mut String) {
 }
 
 /// Writes an elastic ball: finite elements whose motion is interpolated from the corners of a box around it.
-fn soft(object: &ObjectDraw, radius: f64, stiffness: f64, effects: EffectSet, world: &mut String) {
+fn soft(object: &ObjectDraw, (radius, stiffness, points): (f64, f64, usize), effects: EffectSet, world: &mut String) {
     let (name, mass, friction) = (&object.name, object.mass, object.friction);
-    let spacing = 2.0 * radius / (SOFT_GRID_POINTS - 1) as f64;
+    let spacing = 2.0 * radius / (points - 1) as f64;
     // The damping is of the order of the stiffness over one step, so that the ball does not ring.
     put(
         world,
         format_args!(
-            r#"<flexcomp name="{name}" type="ellipsoid" count="{SOFT_GRID_POINTS} {SOFT_GRID_POINTS} {SOFT_GRID_POINTS}" spacing="{spacing} {spacing} {spacing}" radius="0.001" mass="{mass}" dof="trilinear" dim="3" material="{name}"><elasticity young="{stiffness}" poisson="0.4" damping="0.01"/><contact selfcollide="none" priority="1" friction="{friction} 0.01 0.0001" {}/></flexcomp>"#,
+            r#"<flexcomp name="{name}" type="ellipsoid" count="{points} {points} {points}" spacing="{spacing} {spacing} {spacing}" radius="0.001" mass="{mass}" dof="trilinear" dim="3" material="{name}"><elasticity young="{stiffness}" poisson="0.4" damping="0.01"/><contact selfcollide="none" priority="1" friction="{friction} 0.01 0.0001" {}/></flexcomp>"#,
             contact(effects)
         ),
     );

@@ -40,6 +40,8 @@ pub enum Mount {
         radius: f64,
         /// Young's modulus, Pa.
         stiffness: f64,
+        /// Points of the surface along each edge of the cube that it is made from.
+        points: usize,
     },
 }
 

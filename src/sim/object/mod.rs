@@ -53,10 +53,10 @@ impl Object {
                 let [width, height, thickness] = [width, height, thickness].map(|range| range.sample(rng));
                 fixture::door(width, height, thickness, resistance.sample(rng))
             }
-            ShapeSpec::Soft { radius, stiffness } => {
-                let (radius, stiffness) = (radius.sample(rng), stiffness.sample(rng));
+            ShapeSpec::Soft { radius, stiffness, points } => {
+                let (radius, stiffness, points) = (radius.sample(rng), stiffness.sample(rng), *points);
                 let ball = Self::simple(PieceShape::Ball(radius), radius)?;
-                Ok(Self { mount: Mount::Soft { radius, stiffness }, ..ball })
+                Ok(Self { mount: Mount::Soft { radius, stiffness, points }, ..ball })
             }
             ShapeSpec::Mesh { file, scale } => mesh::mesh(file, scale.sample(rng)),
         }

@@ -13,8 +13,6 @@ const MAX_AWAKE_IDLE_BODIES: f64 = 8.0;
 const LONG_HOLD: f64 = 1.0;
 /// Smallest ratio of friction stiffness to normal stiffness in a long hold: creep falls to a seventh of the default's.
 const HOLDING_IMPRATIO: f64 = 10.0;
-/// Largest timestep with a soft body, s.
-const SOFT_TIMESTEP: f64 = 1e-3;
 /// Number of effects.
 const N_EFFECTS: usize = Effect::ALL.len();
 /// Reason of effects that need dynamics.
@@ -80,7 +78,6 @@ impl EffectPlan {
         let mut wanted = crate::mujoco::options::Unchecked::from(options.clone());
         if effects.contains(Effect::SoftBody) {
             wanted.integrator = Integrator::Discrete;
-            wanted.timestep = wanted.timestep.min(SOFT_TIMESTEP);
         }
         if effects.contains(Effect::Friction) && self.long_hold && wanted.noslip_iterations == 0 {
             wanted.impratio = wanted.impratio.max(HOLDING_IMPRATIO);
@@ -126,7 +123,7 @@ impl SceneFacts {
             free_bodies: scene.objects.iter().filter(free).count() as f64 + scene.distractors.high(),
             idle_bodies: idle + scene.distractors.high(),
             articulated: scene.objects.iter().any(|object| object.shape.is_articulated()),
-            soft: scene.objects.iter().any(|object| object.shape.is_soft()),
+            soft: scene.has_soft_object(),
             lens: scene.camera.distortion.iter().any(|k| k.low() != 0.0 || k.high() != 0.0),
             noise: scene.camera.noise.high() > 0.0,
             shutter: scene.camera.shutter.high() > 0.0,
@@ -151,7 +148,7 @@ impl SceneFacts {
             match (dynamics, self.soft) {
                 (_, false) => (false, "no object is soft"),
                 (false, _) => (false, "there is no dynamics to deform the soft object"),
-                _ => (true, "an object is soft; the integrator is discrete, the timestep at most 1 ms"),
+                _ => (true, "an object is soft; the integrator is discrete"),
             },
             match (dynamics, self.idle_bodies > MAX_AWAKE_IDLE_BODIES) {
                 (true, true) => (true, "many free bodies are idle; contacts are read from awake bodies"),

@@ -1,5 +1,6 @@
 //! Objects as a scene file gives them.
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -7,6 +8,14 @@ use serde::{Deserialize, Serialize};
 use super::limits::{MAX_ANGLE, positive, within, zero};
 use crate::error::{Error, Result};
 use crate::sim::range::UniformRange;
+
+/// Points of a soft body along each edge of its grid.
+const POINTS: RangeInclusive<usize> = 4..=15;
+
+/// Value of `points` that is not given.
+fn default_points() -> usize {
+    7
+}
 
 /// An object on the table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -108,6 +117,9 @@ pub enum ShapeSpec {
         radius: UniformRange,
         /// Young's modulus, Pa.
         stiffness: UniformRange,
+        /// Points of the surface along each edge of the cube that it is made from: more make it rounder, and the simulation slower.
+        #[serde(default = "default_points")]
+        points: usize,
     },
     /// Surface from a file, decomposed into convex pieces for contact.
     Mesh {
@@ -150,6 +162,13 @@ impl ShapeSpec {
         matches!(self, Self::Button { .. } | Self::Knob { .. } | Self::Door { .. })
     }
 
+    /// Changes the points of a soft body's grid, 4 to 15; other shapes stay.
+    pub fn set_points(&mut self, wanted: usize) {
+        if let Self::Soft { points, .. } = self {
+            *points = wanted;
+        }
+    }
+
     /// True if the object deforms.
     pub(crate) fn is_soft(&self) -> bool {
         matches!(self, Self::Soft { .. })
@@ -189,9 +208,17 @@ impl ShapeSpec {
                 length("width", *width).and(length("height", *height))?;
                 length("thickness", *thickness).and(torque(*resistance))
             }
-            Self::Soft { radius, stiffness } => {
+            Self::Soft { radius, stiffness, points } => {
                 within(&format!("{key}.radius"), *radius, 5e-3, 0.2)?;
-                within(&format!("{key}.stiffness"), *stiffness, 1e2, 1e8)
+                within(&format!("{key}.stiffness"), *stiffness, 1e2, 1e8)?;
+                match POINTS.contains(points) {
+                    true => Ok(()),
+                    false => Err(Error::value(
+                        format!("{key}.points"),
+                        format!("{} to {}", POINTS.start(), POINTS.end()),
+                        points,
+                    )),
+                }
             }
             Self::Mesh { scale, .. } => within(&format!("{key}.scale"), *scale, 1e-6, 1e3),
         }

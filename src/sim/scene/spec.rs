@@ -47,6 +47,13 @@ pub struct SceneSpec {
     pub glove: Option<GloveSpec>,
 }
 
+impl SceneSpec {
+    /// True if an object deforms.
+    pub fn has_soft_object(&self) -> bool {
+        self.objects.iter().any(|object| object.shape.is_soft())
+    }
+}
+
 /// A hand and its act.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -16,7 +16,6 @@ use egotac::error::Result;
 use egotac::machine::Machine;
 use egotac::physics::{Settings, whole};
 use egotac::sim::Scene;
-use egotac::sim::scene::ShapeSpec;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -87,9 +86,7 @@ pub fn measure(
     progress: &(dyn Fn(&str) + Sync),
 ) -> Result<PhysicsReport> {
     // Soft objects have no single pose, so that no motion is estimated for them.
-    let is_soft =
-        |scene: &&Scene| scene.spec.objects.iter().any(|object| matches!(object.shape, ShapeSpec::Soft { .. }));
-    let (soft, rigid): (Vec<&Scene>, Vec<&Scene>) = scenes.iter().partition(is_soft);
+    let (soft, rigid): (Vec<&Scene>, Vec<&Scene>) = scenes.iter().partition(|scene| scene.spec.has_soft_object());
     let episodes: Vec<(u64, &Scene)> =
         seeds.clone().flat_map(|seed| rigid.iter().map(move |scene| (seed, *scene))).collect();
     let recorded: Vec<(u64, Recorded)> = episodes

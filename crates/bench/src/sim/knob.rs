@@ -1,11 +1,15 @@
 //! Settings that are compared: presets, and one knob at a time from the default.
 
+use std::borrow::Cow;
+
 use egotac::error::{Error, Result};
 use egotac::mujoco::options::Unchecked;
 use egotac::mujoco::{Cone, Integrator, PhysicsOptions, Preset};
 use egotac::sim::EffectPlan;
 use egotac::sim::{RolloutOptions, Scene};
 
+/// Points along each edge of a soft body's grid in the model that other grids are compared with.
+const FINEST_GRID: usize = 13;
 /// Timestep of the reference of the same model, s.
 pub const SAME_MODEL_TIMESTEP: f64 = 1e-4;
 
@@ -26,6 +30,8 @@ pub enum Knob {
     Impratio,
     /// Corners of the hand's collision hulls.
     Hull,
+    /// Points of a soft body's grid.
+    Grid,
     /// Kind of label.
     Label,
     /// Size of the picture.
@@ -36,7 +42,7 @@ pub enum Knob {
 
 impl Knob {
     /// All knobs, in the order of the table.
-    pub const ALL: [Knob; 10] = [
+    pub const ALL: [Knob; 11] = [
         Self::Preset,
         Self::Timestep,
         Self::Cone,
@@ -44,6 +50,7 @@ impl Knob {
         Self::Integrator,
         Self::Impratio,
         Self::Hull,
+        Self::Grid,
         Self::Label,
         Self::Size,
         Self::Shadows,
@@ -59,6 +66,7 @@ impl Knob {
             Self::Integrator => "integrator",
             Self::Impratio => "impratio",
             Self::Hull => "hull",
+            Self::Grid => "grid",
             Self::Label => "label",
             Self::Size => "size",
             Self::Shadows => "shadows",
@@ -122,6 +130,14 @@ impl Knob {
                 ("32 corners", Change::Corners(Some(32))),
                 ("all corners", Change::Corners(None)),
             ]),
+            Self::Grid => variants(&[
+                ("as the scene says", Change::Grid(None)),
+                ("5 points", Change::Grid(Some(5))),
+                ("7 points", Change::Grid(Some(7))),
+                ("9 points", Change::Grid(Some(9))),
+                ("11 points", Change::Grid(Some(11))),
+                ("13 points", Change::Grid(Some(FINEST_GRID))),
+            ]),
             Self::Label | Self::Size | Self::Shadows => Vec::new(),
         }
     }
@@ -149,15 +165,18 @@ pub enum Change {
     Integrator(Integrator),
     Impratio(f64),
     Corners(Option<usize>),
+    Grid(Option<usize>),
 }
 
-/// Physics and hulls of a run.
+/// Physics, hulls and grids of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setup {
     /// Physics options.
     pub physics: PhysicsOptions,
     /// Largest number of corners of each link's hull; `None` = all.
     pub corners: Option<usize>,
+    /// Points along each edge of a soft body's grid; `None` = as the scene says.
+    pub points: Option<usize>,
 }
 
 impl Setup {
@@ -172,7 +191,7 @@ impl Setup {
         };
         // All variants carry one preset name, so that equal values are equal setups and run once.
         let mut values = Unchecked { preset: Preset::Default, ..scene.with_preset(preset).into() };
-        let mut corners = None;
+        let (mut corners, mut points) = (None, None);
         match change {
             Change::Preset(_) => (),
             Change::Timestep(timestep) => values.timestep = timestep,
@@ -181,8 +200,9 @@ impl Setup {
             Change::Integrator(integrator) => values.integrator = integrator,
             Change::Impratio(impratio) => values.impratio = impratio,
             Change::Corners(most) => corners = most,
+            Change::Grid(wanted) => points = wanted,
         }
-        Ok(Self { physics: values.try_into()?, corners })
+        Ok(Self { physics: values.try_into()?, corners, points })
     }
 
     /// Returns the fine reference of the same model: same cone, impratio and hulls, 0.1 ms, tolerance 1e-12. The reference
@@ -194,11 +214,19 @@ impl Setup {
         let model = Self::model(scene)?;
         let values =
             Unchecked { cone: self.physics.cone, impratio: self.physics.impratio, ..model.physics.clone().into() };
-        let fine = Self { physics: values.clone().try_into()?, corners: self.corners };
+        let fine = Self { physics: values.clone().try_into()?, ..self.clone() };
         if fine == model {
             return Ok(model);
         }
         Ok(Self { physics: Unchecked { timestep: SAME_MODEL_TIMESTEP, ..values }.try_into()?, ..fine })
+    }
+
+    /// Returns the scene with this setup's grids.
+    pub fn scene<'a>(&self, scene: &'a Scene) -> Cow<'a, Scene> {
+        let Some(points) = self.points else { return Cow::Borrowed(scene) };
+        let mut scene = scene.clone();
+        scene.spec.objects.iter_mut().for_each(|object| object.shape.set_points(points));
+        Cow::Owned(scene)
     }
 
     /// Returns the options of a rollout of `scene`: as the scene's effects ask for, except impratio, which is as set.
@@ -212,12 +240,21 @@ impl Setup {
         Ok(RolloutOptions { physics: Some(values.try_into()?), hull_corners: self.corners, ..base.clone() })
     }
 
-    /// Returns the reference model: elliptic, impratio 100, 0.05 ms, all corners.
+    /// Returns the reference model: elliptic, impratio 100, 0.05 ms, all corners, the scene's grids.
     ///
     /// # Errors
     /// Never for a valid scene.
     pub fn model(scene: &PhysicsOptions) -> Result<Self> {
         Self::new(scene, Change::Preset(Preset::Reference))
+    }
+
+    /// Returns the model that a change is compared with: the reference model, with the finest grid where grids are compared.
+    ///
+    /// # Errors
+    /// As [`Self::model`].
+    pub fn model_for(scene: &PhysicsOptions, change: Change) -> Result<Self> {
+        let points = matches!(change, Change::Grid(_)).then_some(FINEST_GRID);
+        Ok(Self { points, ..Self::model(scene)? })
     }
 }
 
@@ -245,6 +282,19 @@ mod tests {
             let options = setup.options(&scene, &RolloutOptions::default()).unwrap();
             assert_eq!(options.physics.unwrap().impratio, impratio);
         }
+    }
+
+    #[test]
+    fn grids_are_changed_in_soft_objects_alone_and_compared_with_the_finest() {
+        let (soft, rigid) = (Scene::load("squeeze_ball").unwrap(), Scene::load("pinch_cube").unwrap());
+        let physics = &soft.spec.physics;
+        let coarse = Setup::new(physics, Change::Grid(Some(5))).unwrap();
+        assert_eq!(*coarse.scene(&rigid), rigid);
+        assert_ne!(*coarse.scene(&soft), soft);
+        assert_eq!(*Setup::new(physics, Change::Grid(None)).unwrap().scene(&soft), soft);
+        assert_eq!(coarse.reference(physics).unwrap().points, Some(5));
+        assert_eq!(Setup::model_for(physics, Change::Grid(Some(5))).unwrap().points, Some(FINEST_GRID));
+        assert_eq!(Setup::model_for(physics, Change::Timestep(1e-3)).unwrap(), Setup::model(physics).unwrap());
     }
 
     #[test]

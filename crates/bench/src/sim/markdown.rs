@@ -9,7 +9,7 @@ use super::table::{Entry, Row, SimReport};
 
 /// Explanation of the columns.
 const LEGEND: &str = "\
-Errors are against two references: **same model** (same cone, impratio and hulls, 0.1 ms, tolerance 1e-12) is the error of
+Errors are against two references: **same model** (same cone, impratio, hulls and grids, 0.1 ms, tolerance 1e-12) is the error of
 the numbers; **one model** (elliptic, impratio 100, 0.05 ms, all hull corners) is that of the model as well. *Force* sums
 |mean normal force - reference| over fingers and palms, relative to the reference's sum, over the seconds in which the hands
 press and neither forces nor objects change; *impulse* does the same with the time integral over the whole run; *F1* is that
@@ -108,6 +108,9 @@ fn physics_table(knob: Knob, rows: &[&Row], text: &mut String) {
         ];
         let _ = writeln!(text, "| {} | {} |", row.setting, cells.join(" | "));
     }
+    if knob == Knob::Grid {
+        text.push_str("\nThe one model has the finest grid here, and the scene's grid in the other tables.\n");
+    }
     if knob == Knob::Preset {
         text.push_str(
             "\n`replay` has no forces: its contact places on the recorded poses of the default model's reference, each \
@@ -180,6 +183,7 @@ fn title(knob: Knob) -> &'static str {
         Knob::Integrator => "Integrator",
         Knob::Impratio => "Stiffness of friction (impratio)",
         Knob::Hull => "Corners of each link's collision hull",
+        Knob::Grid => "Points of a soft body's grid, along each edge",
         Knob::Label => "Kind of label",
         Knob::Size => "Size of the picture",
         Knob::Shadows => "Shadows",

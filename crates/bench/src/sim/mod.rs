@@ -74,10 +74,9 @@ pub fn run(plan: &Plan, progress: impl Fn(&str, usize, usize)) -> Result<SimRepo
     let mut scenes = Vec::new();
     let count = plan.scenes.len() + usize::from(plan.workers.is_some());
     for (index, scene) in plan.scenes.iter().enumerate() {
-        let knobs: Vec<Knob> = match plan.knob_scenes.contains(&scene.name) {
-            true => plan.knobs.clone(),
-            false => plan.knobs.iter().copied().filter(|knob| *knob == Knob::Preset).collect(),
-        };
+        let (all, soft) = (plan.knob_scenes.contains(&scene.name), scene.spec.has_soft_object());
+        let fits = |knob: &Knob| (all || *knob == Knob::Preset) && (soft || *knob != Knob::Grid);
+        let knobs: Vec<Knob> = plan.knobs.iter().copied().filter(fits).collect();
         if knobs.is_empty() {
             continue;
         }
@@ -135,11 +134,12 @@ struct Setups<'v> {
     settings: Vec<Setting<'v>>,
 }
 
-/// A variant with the indices of its setup and of its reference.
+/// A variant with the indices of its setup, of its reference, and of the model that it is compared with.
 struct Setting<'v> {
     variant: &'v Variant,
     setup: usize,
     reference: usize,
+    model: usize,
 }
 
 /// Measurements in one scene.
@@ -180,8 +180,8 @@ impl SceneBench<'_> {
             let entry = self.replay(&traces[DEFAULT_REFERENCE], &models)?;
             put(rows, Knob::Preset.name(), Preset::Replay.name(), entry);
         }
-        for Setting { variant, setup, reference } in settings {
-            let mut entry = self.entry(&traces[setup], &traces[reference], &models, &quiet);
+        for Setting { variant, setup, reference, model } in settings {
+            let mut entry = self.entry(&traces[setup], &traces[reference], &collect(&traces[model])?);
             if let Some(seconds) = times[setup] {
                 entry.set_cost(seconds);
             }
@@ -206,26 +206,22 @@ impl SceneBench<'_> {
         for variant in variants {
             let setup = Setup::new(physics, variant.change)?;
             let reference = setup.reference(physics)?;
-            let (setup, reference) = (index_of(&mut setups, setup), index_of(&mut setups, reference));
-            settings.push(Setting { variant, setup, reference });
+            let model = Setup::model_for(physics, variant.change)?;
+            let [setup, reference, model] = [setup, reference, model].map(|setup| index_of(&mut setups, setup));
+            settings.push(Setting { variant, setup, reference, model });
         }
         Ok(Setups { setups, settings })
     }
 
     /// Returns the errors of a setting's runs, or the reason why the scene refuses it.
-    fn entry(
-        &self,
-        runs: &[Result<Trace>],
-        references: &[Result<Trace>],
-        models: &[&Trace],
-        quiet: &[Vec<usize>],
-    ) -> Entry {
+    fn entry(&self, runs: &[Result<Trace>], references: &[Result<Trace>], models: &[&Trace]) -> Entry {
+        let quiet: Vec<Vec<usize>> = models.iter().map(|trace| trace.quiet()).collect();
         let mut entry = Entry { scene: self.scene.name.clone(), ..Entry::default() };
         match (collect(runs), collect(references)) {
             (Ok(runs), Ok(references)) => {
-                entry.same = errors(&runs, &references, quiet);
-                entry.model = errors(&runs, models, quiet);
-                let lifts = runs.iter().zip(quiet).filter_map(|(run, bins)| run.lift(bins));
+                entry.same = errors(&runs, &references, &quiet);
+                entry.model = errors(&runs, models, &quiet);
+                let lifts = runs.iter().zip(&quiet).filter_map(|(run, bins)| run.lift(bins));
                 entry.lift = lifts.max_by(|a, b| (a - 1.0).abs().total_cmp(&(b - 1.0).abs()));
                 let frames: usize = runs.iter().map(|run| run.touched.len()).sum();
                 let invalid: usize = runs.iter().map(|run| run.invalid).sum();
@@ -237,7 +233,7 @@ impl SceneBench<'_> {
     }
 
     fn trace(&self, setup: &Setup, seed: u64) -> Result<(Trace, f64)> {
-        Trace::record_timed(self.scene, seed, &setup.options(self.scene, &self.blind())?)
+        Trace::record_timed(&setup.scene(self.scene), seed, &setup.options(self.scene, &self.blind())?)
     }
 
     /// Measures the preset `replay`, which has no forces: its contacts on the recorded poses of the default model.

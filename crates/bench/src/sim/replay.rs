@@ -35,7 +35,7 @@ pub fn replay(
     repetitions: usize,
 ) -> Result<Replay> {
     // The full model with all joints, because these are recorded; it is never stepped.
-    let setup = Setup { physics: scene.spec.physics.with_preset(Preset::Replay), corners: None };
+    let setup = Setup { physics: scene.spec.physics.with_preset(Preset::Replay), corners: None, points: None };
     let rollout = Rollout::new(scene, seed, &setup.options(scene, options)?)?;
     let (hands, interval) = (Hand::of(&rollout)?, rollout.interval());
     let spreaders = hands.iter().map(|hand| hand.spreader(SIGMA)).collect::<Result<Vec<_>>>()?;

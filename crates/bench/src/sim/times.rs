@@ -20,7 +20,8 @@ pub fn time_setups(
     let mut simulated = vec![0.0; setups.len()];
     for _ in 0..repetitions {
         for ((setup, clock), simulated) in setups.iter().zip(&mut clocks).zip(&mut simulated) {
-            let rollout = setup.options(scene, options).and_then(|options| Rollout::new(scene, seed, &options));
+            let options = setup.options(scene, options);
+            let rollout = options.and_then(|options| Rollout::new(&setup.scene(scene), seed, &options));
             let Ok(rollout) = rollout else { continue };
             *simulated = clock.add_episode(rollout);
         }

@@ -17,7 +17,7 @@ pub struct Args {
     /// Names of scenes (`egotac sim list`), or YAML files; without them, presets are compared on all scenes that are
     /// part of the program, and the other knobs on two of them.
     scenes: Vec<String>,
-    /// Knobs to compare, comma separated: preset, timestep, cone, iterations, integrator, impratio, hull, label, size,
+    /// Knobs to compare, comma separated: preset, timestep, cone, iterations, integrator, impratio, hull, grid, label, size,
     /// shadows. Without it all of them, the wrapper's overhead and the speed of `egotac sim generate`.
     #[arg(long, value_delimiter = ',')]
     knobs: Vec<String>,
