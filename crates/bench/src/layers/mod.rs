@@ -247,7 +247,7 @@ fn steps(config: &Config, precision: Precision, pools: &Pools, runs: usize) -> V
         ),
         ("second layer of the MLP", of_layers(product(4 * d, d, n), moved(&sample.fc2, 4 * d, None, n))),
     ];
-    let [of_all, of_one] = times.map(|steps| steps.map(|times| median(times.into_iter())));
+    let [of_all, of_one] = times.map(|steps| steps.map(median));
     let step = |((name, (operations, bytes)), (ms, ms_on_one))| Step {
         name,
         ms,

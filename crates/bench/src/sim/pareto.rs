@@ -16,7 +16,7 @@ use crate::front::front;
 const FLOOR: f64 = 1e-5;
 /// Colour of the names of settings: that of their points is too pale for letters.
 const NAME: RGBColor = RGBColor(70, 70, 70);
-/// Knobs whose settings are drawn beside the presets.
+/// Knobs whose settings are drawn beside the presets. Grids are not: they are compared with another model.
 const KNOBS: [Knob; 6] = [Knob::Timestep, Knob::Cone, Knob::Iterations, Knob::Integrator, Knob::Impratio, Knob::Hull];
 
 type ErrorOf = fn(&Entry) -> Option<f64>;
@@ -80,8 +80,9 @@ fn points(report: &SimReport, error: ErrorOf) -> Vec<Point> {
         let (cost, error) = (worst.ms_per_second?, error(&worst).filter(|error| *error > FLOOR)?);
         Some(Point { knob: row.knob.clone(), setting: row.setting.clone(), cost, error })
     };
-    let physics = report.rows.iter().filter(|row| row.knob != Knob::Label.name());
-    let mut points: Vec<Point> = physics.filter_map(point).collect();
+    let drawn: Vec<&str> = KNOBS.iter().chain([&Knob::Preset]).map(|knob| knob.name()).collect();
+    let rows = report.rows.iter().filter(|row| drawn.contains(&row.knob.as_str()));
+    let mut points: Vec<Point> = rows.filter_map(point).collect();
     // Settings that equal the recommended preset, or have no effect, would hide its mark.
     let same = |a: &Point, b: &Point| a.error == b.error && (a.cost / b.cost - 1.0).abs() < 0.05;
     let is_preset = |point: &Point| point.knob == Knob::Preset.name();
