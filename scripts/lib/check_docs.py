@@ -33,7 +33,7 @@ def anchors(text):
 def links(path):
     """Returns the relative links of a page."""
     targets = LINK.findall(prose(path.read_text()))
-    return [target for target in targets if not re.match(r"[a-z][a-z0-9+.-]*:", target)]
+    return [target for target in targets if not re.match(r"[a-z][a-z0-9+.-]*:(?!:)", target)]
 
 
 def check_links(pages):

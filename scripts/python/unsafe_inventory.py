@@ -30,6 +30,8 @@ USE = re.compile(r"\bunsafe\b(?! (extern \"C\" )?fn\()")
 FUNCTION = re.compile(r"^\s*(pub(\([^)]*\))? )?(const )?(unsafe )?(extern \"C\" )?fn (\w+)")
 COMMENT = re.compile(r"^\s*//[/!]? ?")
 ATTRIBUTE = re.compile(r"^\s*#\[")
+# A link to an item, which only rustdoc resolves.
+ITEM = re.compile(r"\[(`[^`\]]*`)\](\([\w:]+\))?(?!\()")
 # A line of code that does not end its statement, such as `let x =`.
 CONTINUED = re.compile(r"^(?!\s*//).*[^;{},\s]\s*$")
 
@@ -50,7 +52,7 @@ def argument_above(lines, at):
     while first > 0 and COMMENT.match(lines[first - 1]):
         first -= 1
     text = " ".join(COMMENT.sub("", line).strip() for line in lines[first:at])
-    found = re.search(r"(SAFETY:|# Safety) (.)(.*)", text)
+    found = re.search(r"(SAFETY:|# Safety) (.)(.*)", ITEM.sub(r"\1", text))
     return found and (found.group(2).upper() + found.group(3), first)
 
 
