@@ -3,7 +3,7 @@
 use egotac::text::{put, significant};
 
 use super::grip::{Grips, PRESSED};
-use super::{Objective, RetargetReport};
+use super::{COST_ROUNDS, Objective, RetargetReport};
 
 /// Returns the tables as Markdown.
 pub fn markdown(report: &RetargetReport) -> String {
@@ -24,8 +24,9 @@ fn head(text: &mut String, report: &RetargetReport) {
     put(text, format_args!("# Retargeting: time, exactness, touch\n"));
     put(text, format_args!("Written by `{}` (egotac {}), {}.", report.command, report.version, report.machine));
     if let Some(load) = &report.load {
-        put(text, format_args!("The machine's load: {load}. Times are processor time of one thread."));
+        put(text, format_args!("The machine's load: {load}."));
     }
+    put(text, format_args!("Times are processor time of one thread."));
     put(
         text,
         format_args!(
@@ -152,6 +153,12 @@ fn jitter(text: &mut String, report: &RetargetReport) {
 
 fn costs(text: &mut String, report: &RetargetReport) {
     put(text, format_args!("\n## What accuracy costs in time\n"));
+    put(
+        text,
+        format_args!(
+            "Each choice takes turns with the others of its robot; the least of {COST_ROUNDS} medians counts.\n"
+        ),
+    );
     put(text, format_args!("| robot | choice | median, us | objective over best, p99.9 | tip error, mm |"));
     put(text, format_args!("|---|---|---|---|---|"));
     let known = |value: f64, digits: usize| if value.is_nan() { "-".to_owned() } else { format!("{value:.digits$}") };
