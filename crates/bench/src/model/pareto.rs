@@ -113,6 +113,8 @@ where
             let (bottom, top) = plot::span(y, LEAST_SPAN).unwrap_or((0.0, 1.0));
             // Ticks of a logarithmic axis stand at powers of ten: a narrow range would have none.
             if most < 10.0 * least {
+                // A time below the end of the axis is wider than the usual margin.
+                builder.margin_right(2 * plot::MARGIN);
                 let mut chart = builder.build_cartesian_2d(0.0..right, bottom..top)?;
                 plot::axes(&mut chart, (LATENCY, &|x| format!("{x:.1}")), (what, &|y| format!("{y:.2}")), [8, 6])?;
                 return draw_points(area, &mut chart, points);
