@@ -230,12 +230,18 @@ fn iteration_costs(setup: &Setup, trajectory: &Trajectory, say: &mut impl FnMut(
             tip_error_mm: f64::NAN,
         });
     }
+    measure_again(&mut costs, |index, _| Ok(solve(&mut robot, setup, targets, caps[index], 0)?.median_us))?;
+    Ok(costs)
+}
+
+/// Measures choices again, in turn, with a function that returns the median of a choice by its index and name; the least counts.
+fn measure_again(costs: &mut [Cost], mut median_us: impl FnMut(usize, &str) -> Result<f64>) -> Result<()> {
     for _ in 1..COST_ROUNDS {
-        for (stop, cost) in caps.into_iter().zip(&mut costs) {
-            cost.median_us = cost.median_us.min(solve(&mut robot, setup, targets, stop, 0)?.median_us);
+        for (index, cost) in costs.iter_mut().enumerate() {
+            cost.median_us = cost.median_us.min(median_us(index, &cost.choice)?);
         }
     }
-    Ok(costs)
+    Ok(())
 }
 
 /// Lets a robot follow each input with everything on. The first input is the clean one.
@@ -307,11 +313,7 @@ fn choices(name: &str, trajectory: &Trajectory, say: &mut impl FnMut(&str)) -> R
             tip_error_mm: seen.tip_error_mm,
         });
     }
-    for _ in 1..COST_ROUNDS {
-        for cost in &mut costs {
-            cost.median_us = cost.median_us.min(measured(&cost.choice)?.median_us);
-        }
-    }
+    measure_again(&mut costs, |_, choice| Ok(measured(choice)?.median_us))?;
     Ok(costs)
 }
 
